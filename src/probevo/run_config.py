@@ -199,8 +199,8 @@ class RunConfig(CommonRunSettings):
     sensor: tuple[Path, ...] = Field(
         (),
         description=(
-            "Learned sensors beside the camera: files of `probevo train --kind rotation` (extra"
-            " nets)."
+            "Learned sensors beside the camera: files of `probevo train --kind rotation`,"
+            " `correction` or `sun` (extra nets)."
         ),
     )
     camera_height_m: float | None = Field(

@@ -56,7 +56,10 @@ class Host:
             assert found
             start = int(found[1])
         if start >= len(data) > 0:
-            request.send_error(416)
+            request.send_response(416)
+            request.send_header("Content-Range", f"bytes */{len(data)}")
+            request.send_header("Content-Length", "0")
+            request.end_headers()
             return
         request.send_response(206 if start else 200)
         request.send_header("ETag", tag)

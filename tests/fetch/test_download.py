@@ -126,6 +126,25 @@ def test_a_part_that_is_longer_than_the_file_begins_anew(hosts: Hosts, tmp_path:
     assert download(remote(url), tmp_path, wait_s=0.0).path.read_bytes() == DATA
 
 
+def test_a_part_that_is_complete_is_not_fetched_again(hosts: Hosts, tmp_path: Path) -> None:
+    """It was stopped after the last byte, before the file got its name."""
+    host = hosts({"/data.zip": DATA})
+    url = f"{host.url}/data.zip"
+
+    def stop(done: int, total: int) -> None:
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        download(remote(url), tmp_path, stop)
+    seen: list[int] = []
+    done = download(remote(url), tmp_path, lambda have, total: seen.append(have), wait_s=0.0)
+    assert done.path.read_bytes() == DATA
+    assert not seen
+    assert [span for _, span in host.asked] == ["", f"bytes={len(DATA)}-"]
+    assert [path.name for path in tmp_path.iterdir()] == ["data.zip"]
+
+
 @pytest.mark.parametrize("first", ["down", "missing", "wrong"])
 def test_the_next_host_takes_over(first: str, hosts: Hosts, tmp_path: Path) -> None:
     """Where one is down, has no such file, or has one of another checksum."""

@@ -34,8 +34,12 @@ def test_zip_and_tar_and_zips_inside(tmp_path: Path) -> None:
         tmp_path / "outer.zip", {"hall/one/one.zip": inner.read_bytes(), "hall/b.txt": b"b"}
     )
     other = tarred(tmp_path / "other.tar", [tarfile.TarInfo("c.txt")], b"c")
-    seen: list[str] = []
-    unpack_all([outer, other], tmp_path / "out", {"note.json": "{}"}, seen.append)
+    seen: list[tuple[int, int]] = []
+
+    def on_progress(done: int, total: int) -> None:
+        seen.append((done, total))
+
+    unpack_all([outer, other], tmp_path / "out", {"note.json": "{}"}, on_progress)
     found = {
         path.relative_to(tmp_path / "out").as_posix(): path.read_bytes()
         for path in (tmp_path / "out").rglob("*")
@@ -47,7 +51,11 @@ def test_zip_and_tar_and_zips_inside(tmp_path: Path) -> None:
         "c.txt": b"c",
         "note.json": b"{}",
     }
-    assert "c.txt" in seen
+    total = sum(path.stat().st_size for path in (outer, other)) + len(inner.read_bytes())
+    assert seen[-1][1] == total
+    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
+    assert all(0 < done <= total for done, _ in seen)
+    assert len(seen) == 4
 
 
 @pytest.mark.parametrize("name", ["../evil", "/evil", "a/../../evil", "C:/evil", "..\\evil"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from probevo.nets.correction_space import (  # noqa: E402
     ROTATION_AXES,
     CorrectionTargets,
 )
-from probevo.nets.corrections import correction_loss  # noqa: E402
+from probevo.nets.corrections import correction_gradient, correction_loss  # noqa: E402
 
 
 def space_of(axes: tuple[int, ...]) -> CorrectionTargets:
@@ -34,6 +36,24 @@ def test_half_the_squared_error_is_the_loss_of_the_thesis() -> None:
         errors = np.asarray(space.difference(jax.numpy.asarray(xi), jax.numpy.asarray(true)))
         losses = [float(correction_loss(xi[k], true[k], information)) for k in range(4)]
     np.testing.assert_allclose(0.5 * np.sum(errors**2, axis=1), losses, rtol=1e-9)
+
+
+def test_the_gradient_of_the_training_is_the_derived_one() -> None:
+    """Of ½ |L⁻¹ g|² by automatic differentiation, and gᵀ Σ⁻¹ J(g)⁻¹ J(ξ)."""
+    space = space_of(ALL_AXES)
+    xi, true = np.random.default_rng(1).normal(0.0, 0.1, (2, 4, 6))
+    root = np.asarray(space.root)
+    information = np.linalg.inv(root @ root.T)
+    with jax.enable_x64(True):
+
+        def loss(estimates: Any) -> Any:
+            """Return the loss of all estimates together."""
+            errors = space.difference(estimates, jax.numpy.asarray(true))
+            return 0.5 * jax.numpy.sum(space.squared(errors))
+
+        gradient = np.asarray(jax.grad(loss)(jax.numpy.asarray(xi)))
+        derived = np.array([correction_gradient(xi[k], true[k], information) for k in range(4)])
+    np.testing.assert_allclose(gradient, derived, rtol=1e-9)
 
 
 def test_axes_that_are_not_corrected_stay_zero() -> None:

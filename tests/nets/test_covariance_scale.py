@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom, multivariate_normal
 
+from probevo.geometry.uncertainty import squared_distances
 from probevo.nets.covariance_scale import (
     covariance_scale,
     coverage,
     negative_log_likelihoods,
-    squared_distances,
 )
 
 COUNT = 4000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from probevo.nets.trained_network import saliency  # noqa: E402
 from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sensor_kinds import load_sensors  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
+from probevo.sequences.frame import GroundTruth  # noqa: E402
 
 FRAMES = 13
 SETTINGS = NetworkSettings(epochs=3, copies=3, batch=16, heads=4)
@@ -77,6 +79,25 @@ def test_a_training_that_was_stopped_ends_with_the_same_bytes(
     assert not out.exists()
     train_rotation(recordings, SETTINGS, out)
     assert out.read_bytes() == model.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("sparse", "complaint"),
+    [(0, "SEQUENCE: 4 of 13 frames can be learned from"), (1, "other: it is left out, and 4 of")],
+)
+def test_truth_that_is_known_too_seldom_is_refused_before_the_training(
+    walls: list[Path], tmp_path: Path, sparse: int, complaint: str
+) -> None:
+    """A covariance cannot be calibrated by nothing; that was found at the very end."""
+    recordings = [open_sequence(wall) for wall in walls]
+    truth = recordings[sparse].truth
+    assert truth is not None
+    T_world_cam = truth.T_world_cam.copy()
+    T_world_cam[5:] = np.nan
+    known_seldom = GroundTruth(recordings[sparse].stamps_ns, T_world_cam)
+    recordings[sparse] = replace(recordings[sparse], truth=known_seldom)
+    with pytest.raises(InputError, match=complaint):
+        train_rotation(recordings, SETTINGS, tmp_path / "rotation.safetensors")
 
 
 def test_the_covariance_is_scaled_to_errors_in_blocks(model: Path) -> None:

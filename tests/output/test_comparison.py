@@ -2,6 +2,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -320,6 +321,33 @@ def test_errors_by_axis_are_those_of_each_run(entries: tuple[Entry, Entry]) -> N
             factor = 1000.0 if axes.get_title().endswith(", mm") else 1.0
             factor = factor if i < 3 else np.rad2deg(1.0)
             np.testing.assert_allclose(shown, factor * error[:, i], atol=1e-12)
+
+
+@pytest.mark.parametrize("is_longer_first", [True, False])
+def test_the_axis_along_the_path_is_as_long_as_the_longest_run(
+    entries: tuple[Entry, Entry], is_longer_first: bool
+) -> None:
+    """Runs that were stopped, or that hardly moved, are drawn on the same axis, over distances."""
+    longer, other = entries
+    T_world_cam = se3.chain_motions(np.tile(np.eye(4), (4, 1, 1)))
+    at_rest = replace(other.result, T_world_cam=T_world_cam, **first_steps(other.result, 4))
+    assert other.truth is not None
+    shorter = replace(other, result=at_rest, truth=other.truth[:5])
+    both = (longer, shorter) if is_longer_first else (shorter, longer)
+    length_m = drift_of(longer.result, longer.truth).distance_m[-1]
+    translation, rotation = axes_errors_figures(both, COLORS)
+    for axes in (*errors_figure(both, COLORS).axes, *translation.axes, *rotation.axes):
+        assert axes.get_xlim() == pytest.approx((0.0, length_m))
+        ends_m = {float(np.asarray(line.get_xdata())[-1]) for line in axes.lines[1:]}
+        assert ends_m == {0.0, length_m}
+    assert translation.axes[2].get_xlabel() == "distance travelled, m"
+
+
+def first_steps(run: RunResult, steps: int) -> dict[str, Any]:
+    """Return the arrays of a run of that many steps."""
+    of_steps = ("T_curr_prev", "cov", "common_mode", "path_cross_cov", "status")
+    cut = {name: getattr(run, name)[:steps] for name in of_steps}
+    return cut | {"stamps_ns": run.stamps_ns[: steps + 1]}
 
 
 def test_a_name_with_dollars_is_no_mathematics(

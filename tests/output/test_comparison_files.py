@@ -40,6 +40,9 @@ def test_a_line_holds_every_metric_as_it_is(
     make_run: Callable[..., RunResult], tmp_path: Path
 ) -> None:
     known = entry(make_run(60), truth=True)
+    assert known.metrics is not None
+    with_window = replace(known.metrics, smoothed=known.metrics.of_path())
+    known = replace(known, metrics=with_window)
     unknown = entry(make_run(60), truth=False, name="dale")
     write_csv(tmp_path / "c.csv", map(flat_record, (known, unknown)))
     with (tmp_path / "c.csv").open(encoding="utf-8") as file:
@@ -49,14 +52,16 @@ def test_a_line_holds_every_metric_as_it_is(
         if key == "faults":  # of all kinds together: the gap of frame 39
             assert first[key] == second[key] == "1"
         elif isinstance(value, dict):
-            assert {percent: float(first[f"{key}_{percent}"]) for percent in value} == value
+            assert key not in first
+            assert {part: float(first[f"{key}_{part}"]) for part in value} == value
+            assert {second[f"{key}_{part}"] for part in value} == {""}
         else:
             assert first[key] == ("" if value is None else repr(value)), key
     assert {first["sequence"], second["sequence"]} == {'hill, "a"', "dale"}
     assert all(
         second[field.name] == ""
         for field in fields(Metrics)
-        if field.name not in ("nees_coverage", "faults")
+        if field.name not in ("nees_coverage", "smoothed", "faults")
     )
     assert [first[f"steps_{name}"] for name in ("ok", "gap", "degenerate")] == ["58", "1", "0"]
     assert (first["frames"], float(first["ms_per_frame"])) == (

@@ -9,9 +9,10 @@ import pytest
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
+from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.output.motions_file import read_motions, write_motions
-from probevo.output.run_result import RunResult
+from probevo.output.run_result import RunResult, SensorUse
 
 
 @pytest.mark.parametrize("outside", [None, 7])
@@ -24,6 +25,14 @@ def test_a_run_comes_back_as_it_was(
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
         run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
         run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12, known_m=1.65))
+        run = replace(
+            run, right_delay_s=-0.0015, imu_noise_factor=2.5, stopped="stopped by Ctrl-C."
+        )
+        run = replace(run, accelerometer_scale=AccelerometerScale(1.02, 0.01, 17))
+        run = replace(run, other_camera="is wider", imu_left_out="it contradicts the images")
+        lying = SensorUse(4, 1, {"no fix": 2}, excluded=3, excluded_at=20, reason="is off by 5 σ")
+        run = replace(run, sensors={"gps": lying, "the sun": SensorUse(used=29)})
+        run = replace(run, T_world_cam=run.T_world_cam + 1e-3)
     else:
         run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12))
     write_motions(tmp_path / "motions.npz", run)
@@ -53,6 +62,20 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "rejected_row_offset": ((), "<i8"),
         "rejected_flow": ((), "<i8"),
     }
+
+
+def test_files_from_before_the_path_was_stored(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
+    run = make_run(5)
+    corrected = replace(run, T_world_cam=run.T_world_cam + 1e-3, sensors={"gps": SensorUse(4)})
+    write_motions(tmp_path / "new.npz", corrected)
+    with np.load(tmp_path / "new.npz") as archive:
+        old_names = set(archive.files) - {"T_world_cam", "sensors"}
+        np.savez(tmp_path / "old.npz", **{name: archive[name] for name in old_names})
+    old = read_motions(tmp_path / "old.npz")
+    np.testing.assert_array_equal(old.T_world_cam, run.T_world_cam)
+    assert old.sensors == {}
 
 
 def test_files_from_before_the_features_were_counted(
@@ -97,6 +120,11 @@ def test_the_same_run_gives_the_same_bytes(
         ({"status": np.array(["a"] * 4)}, "status holds something"),
         ({"num_out_of_domain": np.zeros(3)}, r"num_out_of_domain has shape \(3,\)"),
         ({"rejected_flow": np.zeros(2)}, "rejected_flow has shape"),
+        ({"T_world_cam": np.zeros((4, 4, 4))}, r"T_world_cam has shape \(4, 4, 4\)"),
+        ({"sensors": np.zeros(2)}, "sensors is no text"),
+        ({"sensors": np.array("[]")}, "sensors does not say how sensors were used"),
+        ({"sensors": np.array('{"gps": {"used": "x"}}')}, "sensors does not say how"),
+        ({"stopped": np.array(["a"])}, "stopped is no text"),
     ],
 )
 def test_malformed_contents(

@@ -345,6 +345,23 @@ def test_a_folder_with_a_kalibr_file_and_samples_of_the_imu(tmp_path: Path) -> N
     assert sequence.stamps_ns[0] in sequence.imu_stream.stamps_ns
 
 
+def test_samples_of_an_imu_without_a_pose_are_not_left_out_silently(tmp_path: Path) -> None:
+    write_raw_pair(tmp_path)
+    content = kalibr()
+    for camera in content.values():
+        del camera["T_cam_imu"]
+    write_yaml(tmp_path / "calib.yaml", content)
+    without_samples = open_sequence(tmp_path)
+    assert isinstance(without_samples, StereoRecording)
+    assert "! IMU" not in dict(without_samples.notes)
+    write_lines(tmp_path / "imu.csv", ["stamp_ns,wx,wy,wz,ax,ay,az", "0,0,0,0,0,0,9.8"])
+    sequence = open_sequence(tmp_path)
+    assert isinstance(sequence, StereoRecording)
+    assert sequence.imu is None
+    text = dict(sequence.notes)["! IMU"]
+    assert "imu.csv is not used: calib.yaml does not have its pose" in text
+
+
 NOISE = {
     "gyroscope_noise_density": 1e-4,
     "gyroscope_random_walk": 2e-5,

@@ -9,6 +9,7 @@ import pytest
 from probevo.arrays import AnyArray, Image
 from probevo.cli.main import main
 from probevo.errors import InputError
+from probevo.runs.runner import run_sequence
 from probevo.sequences import Frame, Sequence, open_sequence
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.recording import ImageRecording
@@ -165,6 +166,30 @@ def test_a_frame_with_a_faulty_mask_is_refused(mask: object, words: str, recordi
     with pytest.raises(InputError) as caught:
         check_frame(faulty, sequence.camera)
     assert words in str(caught.value)
+
+
+def test_a_bag_has_no_masks_and_that_is_said(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rosbags")
+    words = ["convert", str(recording), "--out"]
+    assert main([*words, str(tmp_path / "without.mcap")]) == 0
+    assert "Masks" not in capsys.readouterr().out
+    write_image(recording / "mask_left.png", half())
+    assert main([*words, str(tmp_path / "with.mcap")]) == 0
+    assert "Masks have no place in a bag: give them with --mask-left" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("imu", [True, False])
+def test_the_report_names_the_masks(
+    recording: Path, tmp_path: Path, undrawn: None, imu: bool
+) -> None:
+    """Also of a run without the IMU."""
+    write_image(recording / "mask_left.png", half())
+    sequence = open_sequence(recording)
+    run_sequence(sequence, {"imu": imu, "max_frames": 2}, tmp_path / "out")
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "left: features in 50 % of the image" in report
 
 
 def test_masks_are_converted_and_described(

@@ -3,6 +3,7 @@
 That every built-in format is recognised is tested in test_formats.
 """
 
+import shutil
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,12 @@ from probevo.sequences import (
 from probevo.sequences.recordings_nearby import MOST_LOOKED_AT
 from probevo.settings import Settings
 from sequences.damage import assert_refused
-from sequences.recordings import write_folder_sequence, write_kitti_odometry, write_tracks
+from sequences.recordings import (
+    write_folder_sequence,
+    write_kitti_flow,
+    write_kitti_odometry,
+    write_tracks,
+)
 
 
 def test_path_that_does_not_exist(tmp_path: Path) -> None:
@@ -155,6 +161,27 @@ DRONE = SequenceFormat(
     options=DroneOptions,
 )
 NOT_A_FORMAT = 3
+
+
+def test_a_folder_with_calibrations_beside_its_images_is_no_kitti_flow(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path / "mine")
+    (path / "calib").mkdir()
+    assert open_sequence(path).format == "folder"
+    scene = write_kitti_flow(tmp_path / "training")
+    for name in ("flow_occ", "flow_noc"):
+        shutil.rmtree(scene / name, ignore_errors=True)
+    assert open_sequence(scene).format == "kitti-flow"
+
+
+def test_endings_in_capitals_are_recognised(tmp_path: Path) -> None:
+    """Cameras write them so. Only rosbags insists on small letters, and that is said."""
+    tracks = write_tracks(tmp_path)
+    assert open_sequence(tracks.rename(tmp_path / "drive.NPZ")).format == "tracks"
+    (tmp_path / "a.MP4").write_bytes(b"no video")
+    assert_refused(tmp_path / "a.MP4", ["a.MP4", "no video that OpenCV can read"])
+    (tmp_path / "drive.MCAP").write_bytes(b"no bag")
+    words = ["drive.MCAP", "by its ending", "Rename it: drive.mcap"]
+    assert_refused(tmp_path / "drive.MCAP", words)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from probevo.output.ros_fields import camera_info_fields, image_fields, pose_fie
 from probevo.output.ros_fields import transform_fields as transform
 from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import write_tum
+from probevo.sequences.rosbag_truth import TruthPoses
 from sequences.recordings import T_CAM_IMU, image, poses, stamps_ns, write_folder_sequence
 from sequences.test_rosbag import CAMERA
 
@@ -90,6 +92,39 @@ def test_an_unknown_body_is_refused(
     path = write_truth_bag(tmp_path / "drive.mcap", kind)
     with pytest.raises(InputError, match=message):
         open_sequence(path, topics_truth="/truth", **options)
+
+
+def mocap_message(child: str, second: int) -> SimpleNamespace:
+    """A TransformStamped of a body that is as many metres away as seconds have passed."""
+    return SimpleNamespace(
+        header=SimpleNamespace(frame_id="/world", stamp=SimpleNamespace(sec=second, nanosec=0)),
+        child_frame_id=child,
+        transform=SimpleNamespace(
+            translation=SimpleNamespace(x=float(second), y=0.0, z=0.0),
+            rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+    )
+
+
+def test_a_topic_with_the_transforms_of_several_bodies_gives_those_of_one() -> None:
+    """A motion capture system publishes all that it sees, in one topic."""
+    found = TruthPoses("bag: /vicon", child="drone")
+    unnamed = TruthPoses("bag: /vicon", child=None)
+    for second in range(6):
+        for poses_of_topic in (found, unnamed):
+            poses_of_topic.add(mocap_message("/drone" if second % 2 else "wand", second))
+    seconds, T_world_drone = found.arrays()
+    assert (seconds // 10**9).tolist() == [1, 3, 5]
+    assert T_world_drone[:, 0, 3].tolist() == [1.0, 3.0, 5.0]
+    with pytest.raises(InputError, match="several frames: drone, wand"):
+        unnamed.arrays()
+
+
+def test_the_only_body_of_a_topic_may_have_another_name() -> None:
+    found = TruthPoses("bag: /vicon", child="base_link")
+    for second in range(3):
+        found.add(mocap_message("drone", second))
+    assert len(found.arrays()[0]) == 3
 
 
 def test_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:

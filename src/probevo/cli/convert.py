@@ -79,6 +79,7 @@ def main(words: list[str]) -> None:
         check_bag_path(arguments.out, "--out")
 
     from probevo.sequences import open_sequence
+    from probevo.sequences.masked import MaskedRecording
 
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
@@ -87,6 +88,8 @@ def main(words: list[str]) -> None:
     print(f"{num_frames} frames written: {arguments.out}")
     if is_bag and sequence.imu is not None:
         print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
+    if is_bag and isinstance(sequence, MaskedRecording):
+        print("Masks have no place in a bag: give them with --mask-left and --mask-right.")
 
 
 def _check_new(out: Path) -> None:
@@ -237,7 +240,9 @@ def with_smoothed(result: RunResult, folder: Path) -> RunResult:
     Raises:
         InputError: its file is damaged, or is that of another run.
     """
-    from probevo.runs.runner import SMOOTHED_KITTI
+    import numpy as np
+
+    from probevo.output.files import SMOOTHED_KITTI
     from probevo.sequences.pose_files import read_kitti_poses
 
     path = folder / SMOOTHED_KITTI
@@ -247,4 +252,6 @@ def with_smoothed(result: RunResult, folder: Path) -> RunResult:
     if len(smoothed) != len(result):
         what = f"it has {len(smoothed)} poses, and {MOTIONS} {len(result)} frames."
         raise InputError(path, what, "Are they of one run?")
+    if not np.isfinite(smoothed).all():
+        raise InputError(path, "some of its poses are not known.", "Run `probevo run` again.")
     return replace(result, smoothed=smoothed)

@@ -57,6 +57,8 @@ class Trajectory:
     """See ``RunResult.faults``; None of a trajectory that is no run."""
     stopped: str | None = None
     """See ``RunResult.stopped``."""
+    smoothed: FloatArray | None = None
+    """Poses as they left the window, [N, 4, 4], m; None if it is not a run with a window."""
 
 
 def main(words: list[str]) -> None:
@@ -73,9 +75,13 @@ def main(words: list[str]) -> None:
     metrics = evaluate(
         estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, cov=estimate.cov
     )
+    smoothed = None
+    if estimate.smoothed is not None:
+        smoothed = evaluate(estimate.smoothed, T_world_cam_true).of_path()
     metrics = replace(
         metrics,
         out_of_domain=estimate.out_of_domain,
+        smoothed=smoothed,
         faults=estimate.faults,
         stopped=estimate.stopped,
     )
@@ -90,11 +96,12 @@ def main(words: list[str]) -> None:
 
 
 def read_run(folder: Path) -> Trajectory:
-    """Read the motions that ``probevo run`` wrote into a folder.
+    """Read what ``probevo run`` wrote into a folder: the run, and its smoothed path if it has one.
 
     Raises:
-        InputError: the folder has no motions, or their file is damaged.
+        InputError: the folder has no motions, or one of the files is damaged.
     """
+    from probevo.cli.convert import with_smoothed
     from probevo.output.motions_file import read_motions
 
     path = folder / "motions.npz"
@@ -104,7 +111,7 @@ def read_run(folder: Path) -> Trajectory:
             "this file is missing.",
             "Give the --out folder of `probevo run`, or a trajectory file.",
         )
-    result = read_motions(path)
+    result = with_smoothed(read_motions(path), folder)
     return Trajectory(
         path,
         result.T_world_cam,
@@ -114,6 +121,7 @@ def read_run(folder: Path) -> Trajectory:
         out_of_domain=result.out_of_domain,
         faults=result.faults,
         stopped=result.stopped,
+        smoothed=result.smoothed,
     )
 
 

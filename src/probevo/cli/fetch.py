@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -121,13 +121,22 @@ def _ask() -> None:
 
 @contextmanager
 def _progress() -> Iterator[OnProgress]:
-    """Show a bar in megabytes; where stderr is no terminal, a line every half a minute."""
+    """Show a bar in megabytes, and another one for unpacking; where stderr is no terminal, a line
+    every half a minute."""
     from probevo.cli.progress import progress_bar
+    from probevo.fetch.fetching import UNPACKING
 
-    with progress_bar("fetching", "connecting", unit="MB") as show:
+    with ExitStack() as bars:
+        show = bars.enter_context(progress_bar("fetching", "connecting", unit="MB"))
+        is_unpacking = False
 
         def on_progress(name: str, done: int, total: int) -> None:
-            """Tell the bytes that are there."""
+            """Tell the bytes that are there, or those that are unpacked."""
+            nonlocal show, is_unpacking
+            if name == UNPACKING and not is_unpacking:
+                bars.close()  # one bar at a time
+                show = bars.enter_context(progress_bar(UNPACKING, UNPACKING, unit="MB"))
+                is_unpacking = True
             if total:
                 show(done // 1_000_000, max(1, total // 1_000_000))
 

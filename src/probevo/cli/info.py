@@ -260,7 +260,8 @@ def _imu_warnings(sequence: Sequence) -> Rows:
         return []
     if sequence.imu is None or sequence.imu_stream is None:
         return []
-    rows = [("! IMU samples", text) for text in sample_warnings(sequence.imu_stream)]
+    warnings = sample_warnings(sequence.imu_stream, sequence.stamps_ns)
+    rows = [("! IMU samples", text) for text in warnings]
     warning = imu_warning(ImageRotations.of(sequence), sequence.imu_stream, sequence.imu)
     return [*rows, ("! gyro", warning)] if warning else rows
 

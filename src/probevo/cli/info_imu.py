@@ -15,8 +15,9 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.gyro_check import integrated_rotations
-from probevo.geometry import so3
+from probevo.geometry import se3, so3
 from probevo.odometry import StereoOdometry
+from probevo.sequences.gyro_spikes import find_spikes
 from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
 
 if TYPE_CHECKING:
@@ -35,10 +36,6 @@ MIN_ROTATION_RAD = 5e-3
 """Least rotation of a step that the difference is compared with."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.01)
 """Time offsets that are tried."""
-SPIKE_RAD_S = 10.0
-"""Least difference of an angular rate from the mean of its neighbours that makes it a spike."""
-SPIKE_FACTOR = 20.0
-"""Least difference of a spike as a multiple of the median of these differences."""
 DEGREES_PER_RADIAN = np.rad2deg(1.0)
 
 
@@ -93,8 +90,12 @@ class ImageRotations:
         return np.asarray(rotation_rad - share * bias_rad_s * duration_s)
 
 
-def sample_warnings(stream: ImuStream) -> list[str]:
+def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
     """Describe the samples that no sensor measures, and single samples far from their neighbours.
+
+    Args:
+        stream: the samples of the IMU.
+        frames_ns: stamps of the frames, [K]; the odometry looks for spikes between two of them.
 
     Returns:
         The warnings; none if all samples are plausible.
@@ -106,7 +107,6 @@ def sample_warnings(stream: ImuStream) -> list[str]:
     forces_m_s2 = stream.accel_m_s2[1:-1][recorded]
     is_implausible = (np.abs(rates_rad_s) > LARGEST_RATE_RAD_S).any(axis=1)
     num_forces = int((np.abs(forces_m_s2) > LARGEST_FORCE_M_S2).any(axis=1).sum())
-    num_spikes = _count_spikes(rates_rad_s[~is_implausible])
     of_all = f"of {len(rates_rad_s):,}"
     warnings = {
         f"{of_all} have an angular rate over {LARGEST_RATE_RAD_S:g} rad/s; they are left out": int(
@@ -115,9 +115,7 @@ def sample_warnings(stream: ImuStream) -> list[str]:
         f"{of_all} have a specific force over {LARGEST_FORCE_M_S2:g} m/s²; it is left out": (
             num_forces
         ),
-        f"{of_all} are spikes of the gyro, {SPIKE_RAD_S:g} rad/s or more from both neighbours": (
-            num_spikes
-        ),
+        f"{of_all} are spikes of the gyro, and left out": _count_spikes(stream, frames_ns),
     }
     return [f"{count:,} {text}" for text, count in warnings.items() if count]
 
@@ -133,17 +131,15 @@ def _without_implausible_rates(stream: ImuStream) -> ImuStream:
     )
 
 
-def _count_spikes(rates_rad_s: FloatArray) -> int:
-    """Return how many of the angular rates, [J, 3], are far from the mean of their neighbours."""
-    if len(rates_rad_s) < 3:
-        return 0
-    between_rad_s = 0.5 * (rates_rad_s[:-2] + rates_rad_s[2:])
-    difference_rad_s = np.abs(rates_rad_s[1:-1] - between_rad_s).max(axis=1)
-    # The neighbours of a spike differ by half as much, and do not count.
-    nearby_rad_s = np.r_[0.0, difference_rad_s, 0.0]
-    is_peak = (difference_rad_s > nearby_rad_s[:-2]) & (difference_rad_s >= nearby_rad_s[2:])
-    is_large = difference_rad_s > max(SPIKE_RAD_S, SPIKE_FACTOR * np.median(difference_rad_s))
-    return int((is_peak & is_large).sum())
+def _count_spikes(stream: ImuStream, frames_ns: IntArray) -> int:
+    """Return how many samples the odometry would leave out as spikes."""
+    spikes_ns: set[int] = set()  # a sample at a frame belongs to two intervals
+    plausible = _without_implausible_rates(stream)
+    for start_ns, end_ns in pairwise(frames_ns.tolist()):
+        samples = plausible.between(start_ns, end_ns)
+        if samples is not None:
+            spikes_ns.update(samples.stamps_ns[find_spikes(samples.gyro_rad_s)].tolist())
+    return len(spikes_ns)
 
 
 def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalibration) -> str:
@@ -175,9 +171,15 @@ def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalib
         best_ms = 1e3 * LAGS_S[int(np.argmin(by_lag))]
         return f"{what}half of that or less if its stamps were {best_ms:+.0f} ms later."
 
-    # An inverse mounting.
-    if _disagreement(images.rotation_rad, -gyro_rad) < 0.5 * disagreement:
-        return f"{what}they are opposite. Is C_cam_imu the inverse of the rotation that is meant?"
+    # An inverse mounting, or a negated gyro: that which agrees better, if one of them does.
+    inverse = replace(calibration, T_cam_imu=se3.inverse(calibration.T_cam_imu))
+    negated = replace(stream, gyro_rad_s=-stream.gyro_rad_s)
+    by_inverse = _disagreement(images.rotation_rad, images.by_gyro(stream, inverse))
+    by_negated = _disagreement(images.rotation_rad, images.by_gyro(negated, calibration))
+    if min(by_inverse, by_negated) < 0.5 * disagreement:
+        if by_inverse < by_negated:
+            return f"{what}half of that or less by the inverse of T_cam_imu. Is that what is meant?"
+        return f"{what}they are opposite. Has the gyro the opposite sign?"
     return f"{what}is its rotation to the camera right, and is the gyro in rad/s?"
 
 

@@ -1,7 +1,8 @@
 """Transfer of one file over HTTP: resumed where it stopped, checked, and complete or absent.
 
 What has arrived lies beside the file as ``NAME.part``, and ``NAME.part.json`` says from where. The
-file gets its own name when it is complete and its checksum is right.
+file gets its own name when it is complete. Then its checksum is compared, if one is published, and
+a file with a wrong one is removed.
 """
 
 from __future__ import annotations
@@ -125,6 +126,8 @@ def _transfer(url: str, path: Path, on_progress: Progress, *, wait_s: float) -> 
         except urllib.error.HTTPError as error:
             if error.code != http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
                 raise
+            if _is_complete(error, before):
+                break
             _discard(partial)
             failures += 1
             last: Exception = error
@@ -193,6 +196,15 @@ def _continues(answer: Any, start: int) -> bool:
         return False
     span = re.fullmatch(r"bytes (\d+)-\d+/(?:\d+|\*)", answer.headers.get("Content-Range", ""))
     return span is not None and int(span[1]) == start
+
+
+def _is_complete(refusal: urllib.error.HTTPError, size: int) -> bool:
+    """Return whether a host refuses to go on since the file has no more bytes than these.
+
+    It compares ``If-Range`` first, so that the file is still the same.
+    """
+    span = re.fullmatch(r"bytes \*/(\d+)", refusal.headers.get("Content-Range", ""))
+    return span is not None and int(span[1]) == size > 0
 
 
 def _check_space(partial: Path, needed: int) -> None:

@@ -20,6 +20,8 @@ RECORD = "fetched.json"
 """File in the folder of a data set that says from where it came."""
 ARCHIVES = "archives"
 """Folder of what is downloaded, until it is unpacked."""
+UNPACKING = "unpacking"
+"""Name of what is in progress after the files have arrived."""
 OnProgress = Callable[[str, int, int], None]
 """A function of what is in progress, of the bytes that are done, and of their number or 0."""
 
@@ -53,7 +55,7 @@ def fetch(
         out: folder for data sets.
         have: an archive of it that is already on disk, or a folder with some of them; they are
             checked and unpacked, and stay.
-        on_progress: called as bytes arrive.
+        on_progress: called as bytes arrive, with the name of their file, and as they are unpacked.
         keep_archives: whether those that were downloaded stay, too.
         wait_s: time before a second attempt.
 
@@ -111,14 +113,6 @@ def _given(dataset: Dataset, have: Path | None) -> dict[str, Path]:
 
 def _unpack(dataset: Dataset, files: list[Fetched], target: Path, on_progress: OnProgress) -> None:
     """Unpack all archives, and write from where they came."""
-    count = 0
-
-    def on_file(name: str) -> None:
-        """Report one more file."""
-        nonlocal count
-        count += 1
-        on_progress("unpacking", count, 0)
-
     target.parent.mkdir(parents=True, exist_ok=True)
     record = {
         "name": dataset.name,
@@ -136,7 +130,8 @@ def _unpack(dataset: Dataset, files: list[Fetched], target: Path, on_progress: O
         ],
     }
     extra = {RECORD: json.dumps(record, indent=1) + "\n"}
-    unpack_all([fetched.path for fetched in files], target, extra, on_file)
+    archives = [fetched.path for fetched in files]
+    unpack_all(archives, target, extra, partial(on_progress, UNPACKING))
 
 
 def _recordings(dataset: Dataset, folder: Path) -> tuple[Path, ...]:

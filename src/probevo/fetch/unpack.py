@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, NamedTuple
 
 from probevo.errors import InputError
 
@@ -23,7 +23,7 @@ def unpack_all(
     archives: list[Path],
     target: Path,
     extra: dict[str, str],
-    on_file: Callable[[str], None] = lambda name: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Unpack archives into one folder, which must not exist; zip files inside of them, too.
 
@@ -34,7 +34,8 @@ def unpack_all(
         archives: .zip and .tar files.
         target: the folder.
         extra: content of further files, by their names.
-        on_file: called with the name of each file.
+        on_progress: called after each file with the bytes of archives that are done, and with
+            those of all archives; zip files inside of others count once they are found.
 
     Raises:
         InputError: an archive is damaged or leads out of the folder, or there is no room.
@@ -42,11 +43,19 @@ def unpack_all(
     partial = target.with_name(f"{target.name}.part")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
+    done = 0
+    total = sum(archive.stat().st_size for archive in archives)
     try:
         for archive in archives:
-            _unpack(archive, partial, on_file)
-        for inner in sorted(partial.rglob("*.zip")):
-            _unpack(inner, inner.parent, on_file)
+            for size in _unpacked(archive, partial):
+                on_progress(done + size, total)
+            done += archive.stat().st_size
+        inners = sorted(partial.rglob("*.zip"))
+        total += sum(inner.stat().st_size for inner in inners)
+        for inner in inners:
+            for size in _unpacked(inner, inner.parent):
+                on_progress(done + size, total)
+            done += inner.stat().st_size
             inner.unlink()
         for name, content in extra.items():
             (partial / name).write_text(content, "utf-8")
@@ -57,26 +66,42 @@ def unpack_all(
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _unpack(archive: Path, folder: Path, on_file: Callable[[str], None]) -> None:
+def _unpacked(archive: Path, folder: Path) -> Iterator[int]:
+    """Unpack an archive, and yield after each file how many of its bytes are done.
+
+    Raises:
+        InputError: it is damaged or leads out of the folder, or there is no room.
+    """
+    done = 0
     try:
         with _opened(archive) as members:
-            for name, size, content in members:
-                place = _place(archive, folder, name)
-                _check_space(folder, size)
+            for member in members:
+                place = _place(archive, folder, member.name)
+                _check_space(folder, member.size)
                 place.parent.mkdir(parents=True, exist_ok=True)
-                with content() as source, place.open("wb") as out:
+                with member.content() as source, place.open("wb") as out:
                     shutil.copyfileobj(source, out)
-                on_file(name)
+                done += member.packed_size
+                yield done
     except FAULTS as error:
         raise InputError(archive, f"this archive is damaged: {error}.", DAMAGED) from error
 
 
-_Member = tuple[str, int, Callable[[], IO[bytes]]]
+class _Member(NamedTuple):
+    """A regular file of an archive."""
+
+    name: str
+    size: int
+    """Its bytes."""
+    packed_size: int
+    """Bytes that it takes in the archive."""
+    content: Callable[[], IO[bytes]]
+    """Opens it."""
 
 
 @contextmanager
 def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
-    """Give name, size and content of each regular file of an archive."""
+    """Give each regular file of an archive."""
     if zipfile.is_zipfile(archive):
         with zipfile.ZipFile(archive) as packed:
             yield _zip_members(packed)
@@ -94,7 +119,7 @@ def _zip_members(packed: zipfile.ZipFile) -> Iterator[_Member]:
                 """Open this member."""
                 return packed.open(info)
 
-            yield info.filename, info.file_size, content
+            yield _Member(info.filename, info.file_size, info.compress_size, content)
 
 
 def _tar_members(packed: tarfile.TarFile) -> Iterator[_Member]:
@@ -108,7 +133,7 @@ def _tar_members(packed: tarfile.TarFile) -> Iterator[_Member]:
                     raise tarfile.ReadError(f"{info.name} has no content")
                 return file
 
-            yield info.name, info.size, content
+            yield _Member(info.name, info.size, info.size, content)
 
 
 def _place(archive: Path, folder: Path, name: str) -> Path:

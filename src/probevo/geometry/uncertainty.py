@@ -90,8 +90,15 @@ def normalized_error_squared(
         numpy.linalg.LinAlgError: a covariance is singular, as is that of a first frame.
     """
     xi = se3.log(T_true @ se3.inverse(T_estimated))
-    squared: FloatArray = np.sum(xi * np.linalg.solve(cov, xi[..., None])[..., 0], axis=-1)
-    return squared
+    return squared_distances(xi, cov)
+
+
+def squared_distances(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return φᵀ Σ⁻¹ φ, [...], of errors [..., d] and covariances [..., d, d]."""
+    # Σ⁻¹ φ, [..., d]
+    weighted = np.linalg.solve(covariances, errors[..., None])[..., 0]
+    distances: FloatArray = np.sum(errors * weighted, axis=-1)
+    return distances
 
 
 def _rotate_covariance(adjoint: FloatArray, cov: FloatArray) -> FloatArray:

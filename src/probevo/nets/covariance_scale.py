@@ -6,14 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-
-
-def squared_distances(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Return φᵀ Σ⁻¹ φ, [...], of errors [..., d] and covariances [..., d, d]."""
-    # Σ⁻¹ φ, [..., d]
-    weighted = np.linalg.solve(covariances, errors[..., None])[..., 0]
-    distances: FloatArray = np.sum(errors * weighted, axis=-1)
-    return distances
+from probevo.geometry.uncertainty import squared_distances
 
 
 def covariance_scale(errors: FloatArray, covariances: FloatArray) -> float:

@@ -193,7 +193,8 @@ def train_task(
 
     Raises:
         InputError: JAX is missing; a recording is faulty, lacks images or truth, is named twice, or
-            sees too little; nothing would remain to learn from; or ``out`` cannot be written to.
+            sees too little; nothing would remain to learn from, or to calibrate by; or ``out``
+            cannot be written to.
     """
     # Refuse early what cannot succeed.
     require_nets(f"train --kind {task.kind}")
@@ -219,6 +220,7 @@ def train_task(
         )
         # The work so far is removed only when the network is written.
         samples = _read_all(task, recordings, counts, run)
+        _check_samples(samples, recordings, counts, split=run.split)
         network = task.train(samples, run)
         network.save(out)
         for file in [*folder.glob("samples-*.npz"), *folder.glob("network-*.safetensors")]:
@@ -247,6 +249,37 @@ def _read_all(
             write_samples(file, found)
         samples.append(found)
     return samples
+
+
+def _check_samples(
+    samples: list[Any], recordings: Collection[Sequence], counts: list[int], *, split: int
+) -> None:
+    """Refuse recordings whose truth is known too seldom to learn from them, or to calibrate.
+
+    Args:
+        samples: dataclasses of arrays, one row a datum, of each recording.
+        recordings: the recordings.
+        counts: number of frames of each that are used.
+        split: number of recordings that are learned from.
+
+    Raises:
+        InputError: those to learn from give fewer data than a block of the calibration has, or one
+            of those left out does.
+    """
+    sizes = [len(next(iter(vars(each).values()))) for each in samples]
+    if sum(sizes[:split]) < BLOCK:
+        what = f"{sum(sizes[:split])} of {sum(counts[:split])} frames can be learned from."
+        cure = f"Name recordings whose truth is known for {BLOCK + 1} successive frames or more."
+        raise InputError("SEQUENCE", what, cure)
+    left_out = zip(recordings[split:], sizes[split:], counts[split:], strict=True)
+    for sequence, size, count in left_out:
+        if size < BLOCK:
+            what = f"it is left out, and {size} of its {count} frames show errors of estimates."
+            cure = (
+                f"The covariance is calibrated by {BLOCK} successive ones: name last a recording"
+                " whose truth is known for longer, or use more frames of it."
+            )
+            raise InputError(sequence.path, what, cure)
 
 
 def write_samples(path: Path, samples: Any) -> None:

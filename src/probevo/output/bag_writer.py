@@ -16,7 +16,6 @@ from probevo.errors import InputError
 from probevo.sequences.rosbag_file import STORAGE_SUFFIXES
 from probevo.storage.files import check_folder, written_together
 
-HEADER_TYPE = "std_msgs/msg/Header"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """ROS 1's own list of messages, which rosbags follows, leaves out this one."""

@@ -18,6 +18,8 @@ from probevo.output.table import records_table
 from probevo.storage.files import write_atomically
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
+_OF_SMOOTHED = tuple(Metrics(num_frames=0).of_path())
+"""The errors in ``Metrics.smoothed``; each has a column, whether it is known or not."""
 _PERCENTAGES = ("50", "90", "95", "99")
 """The ellipsoids in ``Metrics.nees_coverage``; each has a column, whether it is known or not."""
 
@@ -26,16 +28,18 @@ def flat_record(entry: Entry) -> dict[str, object]:
     """Describe a run by the cells of one line: names, number of steps by status, time, metrics.
 
     Metrics have the names of ``metrics.json``; its ``nees_coverage`` has a column for each
-    percentage, and of ``faults`` there is only the sum. None where unknown.
+    percentage, its ``smoothed`` one for each error, and of ``faults`` there is only the sum. None
+    where unknown.
     """
     values: dict[str, object] = {field.name: None for field in fields(Metrics)}
     if entry.metrics is not None:
         values |= entry.metrics.as_dict()
     values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
     values["faults"] = sum(entry.result.faults.values())  # of all kinds; it needs no truth either
-    coverage = values.pop("nees_coverage") or {}
-    if not isinstance(coverage, dict):
-        coverage = {}
+    del values["nees_coverage"]
+    del values["smoothed"]
+    coverage = (entry.metrics and entry.metrics.nees_coverage) or {}
+    smoothed = (entry.metrics and entry.metrics.smoothed) or {}
     return {
         "sequence": entry.sequence,
         "estimator": entry.estimator,
@@ -44,6 +48,7 @@ def flat_record(entry: Entry) -> dict[str, object]:
         "ms_per_frame": _median_ms(entry),
         **values,
         **{f"nees_coverage_{percent}": coverage.get(percent) for percent in _PERCENTAGES},
+        **{f"smoothed_{error}": smoothed.get(error) for error in _OF_SMOOTHED},
     }
 
 

@@ -17,7 +17,7 @@ from probevo.output.report_data import Drift, drift_of
 from probevo.output.report_plots import (
     AXES,
     RASTER_FROM,
-    along_path,
+    along_paths,
     length_unit,
     limits_of,
     readable_top,
@@ -89,25 +89,21 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
         readable_top(claim_m, error_m) for claim_m, error_m in zip(claims_m, errors_m, strict=True)
     )
     factor, unit = length_unit(top_m)
-    # The axis is as long as the longest path.
-    longest, label = max(
-        (along_path(drift) for drift in drifts), key=lambda along: float(along[0][-1])
-    )
+    all_along, label = along_paths(drifts)
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
     shown = (
         "3σ of the position" if all(error_m is None for error_m in errors_m) else "position error"
     )
     axes = figure.add_subplot(xlabel=label, ylabel=f"{shown}, {unit}")
-    for entry, drift, error_m, claim_m, width in zip(
-        entries, drifts, errors_m, claims_m, _widths(entries), strict=True
+    for entry, along, error_m, claim_m, width in zip(
+        entries, all_along, errors_m, claims_m, _widths(entries), strict=True
     ):
-        along = along_path(drift)[0]
         color = colors[entry.estimator]
         dense = len(along) > RASTER_FROM
         axes.plot(along, claim_m * factor, color=color, alpha=0.8, rasterized=dense, **_DASHED)
         if error_m is not None:
             axes.plot(along, error_m * factor, color=color, lw=width, zorder=3, rasterized=dense)
-    axes.set(xlim=limits_of(longest), ylim=(0, top_m * factor))
+    axes.set(xlim=limits_of(_longest(all_along)), ylim=(0, top_m * factor))
     handles = [
         Line2D([], [], color=colors[e.estimator], lw=1.6, label=_literal(e.estimator))
         for e in entries
@@ -130,6 +126,7 @@ def axes_errors_figures(
         The figures of translation and of rotation.
     """
     drifts = [drift_of(entry.result, entry.truth) for entry in entries]
+    all_along, label = along_paths(drifts)
     figures = (Figure(figsize=(WIDTH_IN, 4.6)), Figure(figsize=(WIDTH_IN, 4.6)))
     grids = [figure.subplots(3, 1, sharex=True) for figure in figures]
     for i, name in enumerate(AXES):
@@ -138,12 +135,11 @@ def axes_errors_figures(
         largest = max(float(np.nanmax(np.abs(error))) for error in errors)
         factor, unit = length_unit(largest) if i < 3 else (np.rad2deg(1.0), "deg")
         axes.axhline(0.0, color=GREY, lw=0.8)
-        for entry, drift, error, width in zip(
-            entries, drifts, errors, _widths(entries), strict=True
+        for entry, drift, along, error, width in zip(
+            entries, drifts, all_along, errors, _widths(entries), strict=True
         ):
             if drift.error is None:
                 continue
-            along, label = along_path(drift)
             axes.plot(
                 along,
                 error * factor,
@@ -152,11 +148,16 @@ def axes_errors_figures(
                 label=_literal(entry.estimator),
                 rasterized=len(along) > RASTER_FROM,
             )
-            axes.set(xlim=limits_of(along))
-            if i % 3 == 2:
-                axes.set_xlabel(label)
+        axes.set(xlim=limits_of(_longest(all_along)))
         axes.set_title(f"{name}, {unit}")
+        if i % 3 == 2:
+            axes.set_xlabel(label)
     return figures
+
+
+def _longest(all_along: Sequence[FloatArray]) -> FloatArray:
+    """Return the values that reach farthest; the axis is as long."""
+    return max(all_along, key=lambda along: float(along[-1]))
 
 
 def _origin(entry: Entry) -> int:

@@ -1,23 +1,28 @@
-"""``motions.npz``: the relative motions of a run.
+"""``motions.npz``: a run as it was, but for the smoothed path, which has a file of its own.
 
-Its trajectory, evaluation and report all follow from this file.
+Its trajectory, evaluation and odometry bag all follow from this file.
 """
 
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import TypeAdapter, ValidationError
 
-from probevo.arrays import AnyArray
+from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
-from probevo.output.run_result import RunResult
+from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.files import write_atomically
 from probevo.storage.npz import NO_NPZ, read_npz
 
@@ -25,6 +30,57 @@ _STAGE = "ms_"
 _REJECTED = "rejected_"
 _UNUSABLE = "unusable_"
 _CURE = "Expected a motions.npz written by `probevo run` of this version."
+_STEPS = -1
+"""Stands for N-1 in a shape."""
+_SENSORS = TypeAdapter(dict[str, SensorUse])
+
+
+@dataclass(frozen=True)
+class _Optional:
+    """How a file holds a field of ``RunResult`` that not every run knows.
+
+    The array has the name of the field. It is left out where the field is None, 0 or empty, and
+    where it is missing, the field has its default.
+    """
+
+    shape: tuple[int, ...] | None
+    """The shape of the array; None for a text."""
+    read: Callable[[AnyArray], Any]
+    """Converts the array to the field."""
+    write: Callable[[Any], ArrayLike] = np.asarray
+    """Converts the field to an array."""
+
+
+def _sensors_to_text(sensors: dict[str, SensorUse]) -> ArrayLike:
+    """Return the use of the sensors as JSON."""
+    return _SENSORS.dump_json(sensors).decode()
+
+
+def _sensors_from_text(text: AnyArray) -> dict[str, SensorUse]:
+    """Return the use of the sensors from its JSON; a ValidationError if that is something else."""
+    return _SENSORS.validate_json(str(text))
+
+
+def _scale(array: AnyArray) -> AccelerometerScale:
+    ratio, sigma, count = array.tolist()
+    return AccelerometerScale(ratio, sigma, int(count))
+
+
+_OPTIONAL = {
+    "num_used": _Optional((_STEPS,), np.asarray),
+    "num_out_of_domain": _Optional((_STEPS,), np.asarray),
+    "jitter_sigma_rad": _Optional((3,), np.asarray),
+    "right_delay_s": _Optional((), float),
+    "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
+    "right_late_frames": _Optional((), int),
+    "other_camera": _Optional(None, str),
+    "imu_left_out": _Optional(None, str),
+    "imu_noise_factor": _Optional((), float),
+    "accelerometer_scale": _Optional((3,), _scale, astuple),
+    "stopped": _Optional(None, str),
+    "sensors": _Optional(None, _sensors_from_text, _sensors_to_text),
+}
+"""By the name of the field, and of the array."""
 
 
 def write_motions(path: Path, result: RunResult) -> None:
@@ -44,38 +100,24 @@ def write_motions(path: Path, result: RunResult) -> None:
         "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
     }
-    # What not every run knows is left out of the file.
-    if result.num_used is not None:
-        arrays["num_used"] = result.num_used
-    if result.num_out_of_domain is not None:
-        arrays["num_out_of_domain"] = result.num_out_of_domain
-    if result.jitter_sigma_rad is not None:
-        arrays["jitter_sigma_rad"] = result.jitter_sigma_rad
+    # Motions do not tell the path that sensors have corrected.
+    if not np.array_equal(result.T_world_cam, _compounded(result.T_curr_prev, len(result))):
+        arrays["T_world_cam"] = result.T_world_cam
+    for name, optional in _OPTIONAL.items():
+        value = getattr(result, name)
+        if isinstance(value, np.ndarray) or value:
+            arrays[name] = np.asarray(optional.write(value))
+    height = result.ground_height
+    if height is not None:
+        arrays["ground_height"] = np.array([height.height_m, height.sigma_m, height.num_blocks])
+        if height.known_m is not None:
+            arrays["camera_height_m"] = np.array(height.known_m)
     for name, ms in result.stage_ms.items():
         arrays[_STAGE + name] = ms
     for name, count in result.rejected.items():
         arrays[_REJECTED + name.replace(" ", "_")] = np.array(count, dtype=np.int64)
     for name, count in result.unusable.items():
         arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
-    if result.right_late_frames:
-        arrays["right_late_frames"] = np.array(result.right_late_frames, dtype=np.int64)
-    if result.other_camera is not None:
-        arrays["other_camera"] = np.array(result.other_camera)
-    if result.imu_left_out is not None:
-        arrays["imu_left_out"] = np.array(result.imu_left_out)
-    scale = result.accelerometer_scale
-    if scale is not None:
-        arrays["accelerometer_scale"] = np.array([scale.ratio, scale.sigma, scale.count])
-    height = result.ground_height
-    if height is not None:
-        arrays["ground_height"] = np.array([height.height_m, height.sigma_m, height.num_blocks])
-        if height.known_m is not None:
-            arrays["camera_height_m"] = np.array(height.known_m)
-    focal = result.focal_length
-    if focal is not None:
-        arrays["focal_length"] = np.array([focal.log_ratio, focal.sigma])
-    if result.stopped is not None:
-        arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
     # allow_pickle is not passed: NumPy 2.0 would store it as an array.
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
@@ -83,7 +125,10 @@ def write_motions(path: Path, result: RunResult) -> None:
 
 
 def read_motions(path: Path | str) -> RunResult:
-    """Read a run back as it was.
+    """Read a run back as it was, without its smoothed path.
+
+    Files of versions that did not store the path have the one that the motions add up to, and no
+    use of sensors.
 
     Args:
         path: a ``motions.npz``, or the folder of a run.
@@ -103,69 +148,77 @@ def read_motions(path: Path | str) -> RunResult:
     n = len(_take(path, arrays, "stamps_ns", shape=None))
     steps = max(n - 1, 0)
     T_curr_prev = _take(path, arrays, "T_curr_prev", shape=(steps, 4, 4))
-    stages = [name for name in arrays if name.startswith(_STAGE)]
-    checks = [name for name in arrays if name.startswith(_REJECTED)]
     cov = _take(path, arrays, "cov", shape=(steps, 6, 6))
     # Whoever weighs by the inverse of a covariance relies on this.
     indefinite = np.flatnonzero(np.linalg.eigvalsh(cov).min(axis=1, initial=np.inf) <= 0.0)
     if len(indefinite) > 0:
         raise InputError(path, f"cov of motion {indefinite[0]} is not positive definite", _CURE)
+    T_world_cam = _compounded(T_curr_prev, n)
+    if "T_world_cam" in arrays:
+        T_world_cam = _take(path, arrays, "T_world_cam", shape=(n, 4, 4))
+    path_cross_cov: AnyArray = np.zeros((steps, 6, 6))
+    if "path_cross_cov" in arrays:
+        path_cross_cov = _take(path, arrays, "path_cross_cov", shape=(steps, 6, 6))
+    rejected = _counts(path, arrays, _REJECTED)
     return RunResult(
         stamps_ns=arrays["stamps_ns"],
-        T_world_cam=se3.chain_motions(T_curr_prev)[:n],
+        T_world_cam=T_world_cam,
         T_curr_prev=T_curr_prev,
         cov=cov,
         common_mode=_take(path, arrays, "common_mode", shape=(steps, 6, COMMON_MODE_COLUMNS)),
-        path_cross_cov=_take(path, arrays, "path_cross_cov", shape=(steps, 6, 6))
-        if "path_cross_cov" in arrays
-        else np.zeros((steps, 6, 6)),
+        path_cross_cov=path_cross_cov,
         status=_take(path, arrays, "status", shape=(steps,)),
         num_tracks=_take(path, arrays, "num_tracks", shape=(steps,)),
         num_inliers=_take(path, arrays, "num_inliers", shape=(steps,)),
         stage_ms={
-            name.removeprefix(_STAGE): _take(path, arrays, name, shape=(steps,)) for name in stages
+            name.removeprefix(_STAGE): _take(path, arrays, name, shape=(steps,))
+            for name in arrays
+            if name.startswith(_STAGE)
         },
         total_ms=_take(path, arrays, "total_ms", shape=(steps,)),
-        rejected={
-            name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, shape=()))
-            for name in checks
-        },
-        num_used=_take(path, arrays, "num_used", shape=(steps,)) if "num_used" in arrays else None,
-        num_out_of_domain=_take(path, arrays, "num_out_of_domain", shape=(steps,))
-        if "num_out_of_domain" in arrays
-        else None,
-        unusable={
-            name.removeprefix(_UNUSABLE): int(_take(path, arrays, name, shape=()))
-            for name in arrays
-            if name.startswith(_UNUSABLE)
-        },
-        right_late_frames=int(_take(path, arrays, "right_late_frames", shape=()))
-        if "right_late_frames" in arrays
-        else 0,
-        other_camera=str(arrays["other_camera"]) if "other_camera" in arrays else None,
-        imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
-        accelerometer_scale=_scale(path, arrays),
+        rejected={name.replace("_", " "): count for name, count in rejected.items()},
+        unusable=_counts(path, arrays, _UNUSABLE),
         ground_height=_ground_height(path, arrays),
-        focal_length=_focal_length(path, arrays),
-        stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
-        jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
-        if "jitter_sigma_rad" in arrays
-        else None,
+        **{
+            name: _read_optional(path, arrays, name, steps=steps)
+            for name in _OPTIONAL
+            if name in arrays
+        },
     )
 
 
-def _scale(path: Path, arrays: dict[str, AnyArray]) -> AccelerometerScale | None:
-    if "accelerometer_scale" not in arrays:
-        return None
-    ratio, sigma, count = _take(path, arrays, "accelerometer_scale", shape=(3,)).tolist()
-    return AccelerometerScale(ratio, sigma, int(count))
+def _compounded(T_curr_prev: FloatArray, num_frames: int) -> FloatArray:
+    """Return the poses that motions [N-1, 4, 4] add up to, [N, 4, 4], m; none for no frame."""
+    return se3.chain_motions(T_curr_prev)[:num_frames]
 
 
-def _focal_length(path: Path, arrays: dict[str, AnyArray]) -> FocalLengthError | None:
-    if "focal_length" not in arrays:
-        return None
-    log_ratio, sigma = _take(path, arrays, "focal_length", shape=(2,)).tolist()
-    return FocalLengthError(log_ratio, sigma)
+def _counts(path: Path, arrays: dict[str, AnyArray], prefix: str) -> dict[str, int]:
+    """Take the numbers whose names begin with a prefix, by the rest of their names."""
+    return {
+        name.removeprefix(prefix): int(_take(path, arrays, name, shape=()))
+        for name in arrays
+        if name.startswith(prefix)
+    }
+
+
+def _read_optional(path: Path, arrays: dict[str, AnyArray], name: str, *, steps: int) -> Any:
+    """Read a field of ``_OPTIONAL`` from its array.
+
+    Raises:
+        InputError: the array has another shape or type.
+    """
+    optional = _OPTIONAL[name]
+    if optional.shape is None:
+        array = arrays[name]
+        if array.shape != () or array.dtype.kind != "U":
+            raise InputError(path, f"{name} is no text", _CURE)
+    else:
+        shape = tuple(steps if size == _STEPS else size for size in optional.shape)
+        array = _take(path, arrays, name, shape=shape)
+    try:
+        return optional.read(array)
+    except ValidationError as error:
+        raise InputError(path, f"{name} does not say how sensors were used", _CURE) from error
 
 
 def _take(

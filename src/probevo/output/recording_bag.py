@@ -42,7 +42,7 @@ def write_recording_bag(
     Topics: ``/left/image_rect`` and ``/right/image_rect`` (with ``/compressed`` for PNG) with their
     ``camera_info``, ``/imu/data`` with the IMU's pose in ``/tf_static``, and ``/ground_truth``
     (nav_msgs/Odometry of the left camera). Messages come in the order of their stamps. The noise of
-    the IMU has no place in a bag.
+    the IMU and masks have no place in a bag.
 
     Args:
         path: a file .bag (ROS 1), .mcap or .db3 (ROS 2).

@@ -16,18 +16,10 @@ from probevo.errors import InputError
 from probevo.output.files import write_kitti_poses
 from probevo.output.recording_parts import imu_samples, stereo_pairs
 from probevo.sequences import ImuSamples, Sequence
+from probevo.sequences.folder import IMU_HEADER
+from probevo.sequences.imu_calibration import DENSITIES
 from probevo.sequences.masked import mask_of_array
 from probevo.storage.files import write_atomically
-
-DENSITIES = (
-    "gyro_noise_rad_s_sqrt_hz",
-    "gyro_bias_sigma_rad_s",
-    "gyro_bias_walk_rad_s2_sqrt_hz",
-    "accel_noise_m_s2_sqrt_hz",
-    "accel_bias_sigma_m_s2",
-    "accel_bias_walk_m_s3_sqrt_hz",
-)
-IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 
 
 def check_new_folder(folder: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -170,8 +172,24 @@ def along_path(drift: Drift) -> tuple[FloatArray, str]:
 
     Returns the values, [N], and their label.
     """
-    travels = np.ptp(drift.T_world_cam[:, :3, 3], axis=0).max() > 0.5
-    return (drift.distance_m, "distance travelled, m") if travels else (drift.time_s, "time, s")
+    if _travels(drift):
+        return drift.distance_m, "distance travelled, m"
+    return drift.time_s, "time, s"
+
+
+def along_paths(drifts: Sequence[Drift]) -> tuple[list[FloatArray], str]:
+    """Choose what to plot several runs against, on one axis.
+
+    Returns the values of each, [N], and their label: distances if any of the cameras travels.
+    """
+    if any(_travels(drift) for drift in drifts):
+        return [drift.distance_m for drift in drifts], "distance travelled, m"
+    return [drift.time_s for drift in drifts], "time, s"
+
+
+def _travels(drift: Drift) -> bool:
+    """Return whether a camera moves by more than half a metre along an axis."""
+    return bool(np.ptp(drift.T_world_cam[:, :3, 3], axis=0).max() > 0.5)
 
 
 def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:

@@ -20,6 +20,7 @@ from probevo.output.table import readable
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
 from probevo.sequences.masked import MaskedRecording
+from probevo.sequences.without_imu import WithoutImu
 
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
@@ -47,6 +48,10 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
     found = result.accelerometer_scale
     if found is not None:
         scale["Scale"] = f"{found.ratio:.3f} ± {found.sigma:.3f} of that by the accelerometer"
+    masks = {}
+    recording = sequence.frames if isinstance(sequence, WithoutImu) else sequence
+    if isinstance(recording, MaskedRecording):
+        masks["Masks"] = mask_text(recording)
     height = {}
     above = result.ground_height
     if above is not None:
@@ -58,7 +63,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Camera": camera_text(sequence.camera),
         "IMU": imu_use_text(sequence, config),
         "Truth": truth_text(sequence.truth, len(result)),
-        **({"Masks": mask_text(sequence)} if isinstance(sequence, MaskedRecording) else {}),
+        **masks,
         "Noise model": config.noise,
         **rig,
         **imu,

@@ -90,7 +90,7 @@ class RunResult:
     cov: FloatArray
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
     common_mode: FloatArray
-    """Columns of the common-mode errors of all motions, [N-1, 6, 3]; see
+    """Columns of the common-mode errors of all motions, [N-1, 6, 9]; see
     ``MotionEstimate.common_mode``."""
     path_cross_cov: FloatArray
     """Cross-covariances of each motion with the path before it, [N-1, 6, 6]; see
@@ -346,12 +346,16 @@ class RunRecorder:
         self._poses.add(motion.T_world_cam.ravel())
 
     def result(self) -> RunResult:
-        """Collect all that was recorded so far."""
-        counts = self._counts.table()
+        """Collect all that was recorded so far.
+
+        A frame counts once all of it is recorded; one at which ``add`` was interrupted does not.
+        """
+        num_frames = len(self._poses)  # its row is the last that is added
+        counts = self._counts.table()[:num_frames]
         # The first frame has a stamp, but no motion.
         stamps_ns = counts[:, 0].copy()
         _, status, num_tracks, num_inliers, num_used, outside = counts[1:].T.copy()
-        numbers = self._numbers.table()[1:]
+        numbers = self._numbers.table()[1:num_frames]
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
@@ -363,7 +367,9 @@ class RunRecorder:
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
-            stage_ms={name: times_ms.table()[1:, 0] for name, times_ms in self._stage_ms.items()},
+            stage_ms={
+                name: times_ms.table()[1:num_frames, 0] for name, times_ms in self._stage_ms.items()
+            },
             total_ms=numbers[:, -1].copy(),
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),

@@ -31,7 +31,13 @@ from probevo.noise.named import noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import write_json, write_kitti_poses, write_tum
+from probevo.output.files import (
+    SMOOTHED_KITTI,
+    SMOOTHED_TUM,
+    write_json,
+    write_kitti_poses,
+    write_tum,
+)
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
 from probevo.output.rows import Rows
@@ -55,9 +61,6 @@ from probevo.tracking.left_right import (
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
 
-SMOOTHED_TUM = "trajectory.smoothed.tum"
-SMOOTHED_KITTI = "trajectory.smoothed.kitti.txt"
-"""Poses as they left the window, if there is one."""
 NUM_PICTURES = 4
 """Frames that the report shows with their tracks."""
 
@@ -241,9 +244,6 @@ class _Records:
         self, frame: Frame, motion: MotionEstimate, odometry: StereoOdometry, *, total_ms: float
     ) -> None:
         """Record a step of the odometry."""
-        self.recorder.add(
-            frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
-        )
         self.pictures.add(frame, odometry)
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
@@ -256,11 +256,19 @@ class _Records:
             seen.curr_px,
             is_ok=motion.status is Status.OK,
         )
+        # Last: only then the frame counts, so that Ctrl-C between two of these lines does no harm.
+        self.recorder.add(
+            frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
+        )
 
     def result(self, sequence: Sequence, odometry: StereoOdometry) -> RunResult:
-        """Return the results so far, with the checks of calibration and scale over all frames."""
+        """Return the results so far, with the checks of calibration and scale over all frames.
+
+        The odometry may be a step ahead of the records, if that was interrupted in between.
+        """
         rig = odometry.rig
         result = self.recorder.result()
+        self.smoothed.add(odometry.window)  # adding a pose again changes nothing
         return replace(
             result,
             accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
@@ -268,7 +276,7 @@ class _Records:
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
             focal_length=None if rig is None else rig.focal.error(),
-            smoothed=self.smoothed.poses(odometry.window),
+            smoothed=self.smoothed.poses(odometry.window, num_frames=len(result)),
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
             imu_left_out=reason_not_used(odometry.window),
@@ -397,21 +405,32 @@ class SmoothedPath:
         """Index of the frame, T_world_cam."""
 
     def add(self, window: Window | None) -> None:
-        """Take the poses that left the window in the last step."""
+        """Take the poses that left the window in the last step; those taken before may be among
+        them."""
         if window is not None:
             for pose in window.marginalized:
                 self._left.add(_smoothed_row(pose))
 
-    def poses(self, window: Window | None) -> FloatArray | None:
-        """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
-        still in it; None without a window."""
+    def poses(self, window: Window | None, *, num_frames: int | None = None) -> FloatArray | None:
+        """Return T_world_cam of all frames, whether they have left the window or are still in it.
+
+        Args:
+            window: as it is now.
+            num_frames: leave out the frames from this number on; None for all.
+
+        Returns:
+            Poses of N frames, [N, 4, 4], m; None without a window.
+        """
         if window is None:
             return None
         in_window = [_smoothed_row(window.pose(slot)) for slot in range(len(window))]
         rows = np.concatenate([self._left.table(), np.reshape(in_window, (-1, 1 + 16))])
-        # A blind frame leaves before those that features connect
-        rows = rows[np.argsort(rows[:, 0])]
-        return rows[:, 1:].reshape(-1, 4, 4)
+        # One row a frame, in their order: a blind frame leaves before those that features connect,
+        # and a pose may have been added again.
+        frames, of_frame = np.unique(rows[:, 0], return_index=True)
+        if num_frames is not None:
+            of_frame = of_frame[frames < num_frames]
+        return rows[of_frame, 1:].reshape(-1, 4, 4)
 
 
 def _smoothed_row(pose: SmoothedPose) -> FloatArray:

@@ -167,8 +167,20 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         truth=_read_truth(path, options, stamps_ns, imu=imu),
         rectification=cameras.rectification,
         gray_range=range_of_files(pictures.left_files, pictures.right_files),
-        notes=pictures.notes,
+        notes=(*pictures.notes, *_notes_on_imu(path, cameras)),
     )
+
+
+def _notes_on_imu(path: Path, cameras: Cameras) -> tuple[tuple[str, str], ...]:
+    """Say where the samples of an IMU are not used, since its pose is not known."""
+    samples = path / "imu.csv"
+    if cameras.imu is not None or not samples.exists():
+        return ()
+    text = (
+        f"{samples.name} is not used: {cameras.where.name} does not have its pose in the camera's"
+        " frame. Give a Kalibr camchain with T_cam_imu as --calibration."
+    )
+    return (("! IMU", text),)
 
 
 def _read_truth(

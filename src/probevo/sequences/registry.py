@@ -59,16 +59,21 @@ class SequenceFormat:
     """Opens a recording: called with its ``Path``, and with the options as keyword arguments."""
     folder_signs: tuple[str, ...] = ()
     """A folder that holds one of these files or folders is a recording of this format."""
+    folder_sign_pairs: tuple[tuple[str, str], ...] = ()
+    """A folder that holds both of one of these pairs is one, too, where one alone says nothing."""
     file_suffixes: tuple[str, ...] = ()
-    """A file with one of these endings, such as ``.npz``, is a recording of this format."""
+    """A file with one of these endings, such as ``.npz``, is a recording of this format; so is one
+    with the same in capitals."""
     options: type[Settings] = NoOptions
     """Options of this format, with their defaults, bounds and descriptions."""
 
     def recognises(self, path: Path) -> bool:
         """Return whether an existing file or folder looks like a recording of this format."""
         if path.is_dir():
-            return any((path / sign).exists() for sign in self.folder_signs)
-        return path.suffix in self.file_suffixes
+            signs: list[tuple[str, ...]] = [(sign,) for sign in self.folder_signs]
+            signs += self.folder_sign_pairs
+            return any(all((path / name).exists() for name in sign) for sign in signs)
+        return path.suffix.lower() in self.file_suffixes
 
     def check_kind(self, path: Path) -> None:
         """Refuse a folder where this format needs a file, and the reverse.
@@ -201,7 +206,8 @@ _BUILT_IN = (
     SequenceFormat(
         name="kitti-flow",
         summary="a scene of KITTI 2012 or 2015, stereo or flow: --scene NUMBER",
-        folder_signs=("flow_occ", "flow_noc", "calib", "calib_cam_to_cam"),
+        folder_signs=("flow_occ", "flow_noc", "calib_cam_to_cam"),
+        folder_sign_pairs=(("calib", "image_0"), ("calib", "image_2")),
         open=_open_kitti_flow,
         options=KittiFlowOptions,
     ),
@@ -434,7 +440,7 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
         raise InputError(path, "this folder is part of a recording.", suggestion(above))
     found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
     looked_for = [
-        f"{' or '.join(known.folder_signs)} ({known.name})"
+        f"{' or '.join(_signs_in_words(known))} ({known.name})"
         for known in formats.values()
         if known.folder_signs
     ]
@@ -443,3 +449,8 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
         f"no known format; found {', '.join(found)}." if found else "this folder is empty.",
         f"Looked for {'; '.join(looked_for)}.",
     )
+
+
+def _signs_in_words(known: SequenceFormat) -> list[str]:
+    """Return the signs of a folder as a message names them."""
+    return [*known.folder_signs, *(" with ".join(pair) for pair in known.folder_sign_pairs)]

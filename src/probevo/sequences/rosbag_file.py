@@ -185,6 +185,9 @@ def _storage_files(path: Path) -> list[Path]:
     Raises:
         InputError: the folder holds no bag, or several of ROS 2.
     """
+    if path.is_file() and path.suffix not in STORAGE_SUFFIXES:
+        what = f"rosbags knows a bag by its ending, and {path.suffix} is none that it knows."
+        raise InputError(path, what, f"Rename it: {path.with_suffix(path.suffix.lower()).name}.")
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)

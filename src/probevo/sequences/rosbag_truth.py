@@ -15,17 +15,24 @@ from probevo.geometry import se3
 
 @dataclass
 class TruthPoses:
-    """The poses of one body in one world, as a topic gives them."""
+    """The poses that a topic gives; in the end those of one body in one world."""
 
     where: str
     """Bag and topic, for messages."""
     child: str | None
-    """The frame whose poses are wanted; None to take the one that the messages name."""
+    """The frame whose poses are wanted; None to take the only one that the messages name. Where
+    they name one other frame alone, their poses are taken for those of this one."""
     stamps_ns: list[int] = field(default_factory=list)
     T_world_child: list[FloatArray] = field(default_factory=list)
-    named: str = ""
-    """The frame that the messages name, "" where they name none."""
-    parents: set[str] = field(default_factory=set)
+    children: list[str] = field(default_factory=list)
+    """The frame that each message names, "" where it names none."""
+    parents: list[str] = field(default_factory=list)
+    """The frame of its world."""
+
+    @property
+    def named(self) -> str:
+        """The frame that the messages name, "" where they name none; ``arrays`` refuses several."""
+        return self.children[-1] if self.children else ""
 
     def add(self, message: Any) -> None:
         """Add what a message says of the body.
@@ -48,17 +55,33 @@ class TruthPoses:
         """Return stamps, [M], ascending and distinct, and poses T_world_child, [M, 4, 4], m.
 
         Raises:
-            InputError: there is no pose, or they are in several worlds.
+            InputError: there is no pose, or they are of several bodies, or in several worlds.
         """
         if not self.stamps_ns:
             of = f" of {self.child}" if self.child else ""
             cure = "--truth-of names the frame whose poses are the truth."
             raise InputError(self.where, f"it has no pose{of}.", cure)
-        if len(self.parents) > 1:
-            what = f"its poses are in several frames: {', '.join(sorted(self.parents))}."
+        rows = self._rows_of_body()
+        parents = sorted({self.parents[row] for row in rows})
+        if len(parents) > 1:
+            what = f"its poses are in several frames: {', '.join(parents)}."
             raise InputError(self.where, what)
-        stamps_ns, first = np.unique(np.array(self.stamps_ns, np.int64), return_index=True)
-        return stamps_ns, np.array(self.T_world_child)[first]
+        stamps_ns, first = np.unique(np.array(self.stamps_ns, np.int64)[rows], return_index=True)
+        return stamps_ns, np.array(self.T_world_child)[rows][first]
+
+    def _rows_of_body(self) -> IntArray:
+        """Return which of the poses are those of the body that is wanted.
+
+        Raises:
+            InputError: they are of several bodies, and none of them is the one that is wanted.
+        """
+        names = sorted(set(self.children))
+        if len(names) > 1 and self.child not in names:
+            what = f"its poses are those of several frames: {', '.join(names)}."
+            cure = "--truth-of names the frame whose poses are the truth."
+            raise InputError(self.where, what, cure)
+        body = self.child if self.child in names else names[0]
+        return np.flatnonzero([child == body for child in self.children])
 
     def _add_transform(self, message: Any) -> None:
         transform = message.transform
@@ -70,8 +93,8 @@ class TruthPoses:
         )
 
     def _add(self, header: Any, child: str, position: Any, *, rotation: Any) -> None:
-        self.named = child
-        self.parents.add(frame_name(header.frame_id))
+        self.children.append(child)
+        self.parents.append(frame_name(header.frame_id))
         self.stamps_ns.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
         self.T_world_child.append(rigid_matrix(position, rotation, self.where))
 

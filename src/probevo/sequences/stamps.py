@@ -67,7 +67,8 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     """Return the times that the names of files are, [K], ns; None if they are no stamps.
 
     A stamp is the number at the end of the name: Unix time in seconds with decimals, or as a whole
-    number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files.
+    number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files. A whole number that begins
+    with 0 is the number of a frame.
     """
     numbers = [NAME_STAMP.search(file.stem) for file in files]
     found = [number for number in numbers if number is not None]
@@ -80,7 +81,7 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     if has_decimals == {True}:
         return np.array([round(Decimal(number[0]) * NS_PER_S) for number in found], dtype=np.int64)
     unit_ns = NS_OF_DIGITS.get(num_digits.pop())
-    if unit_ns is None:
+    if unit_ns is None or any(number["whole"].startswith("0") for number in found):
         return None
     return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
 
