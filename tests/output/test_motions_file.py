@@ -45,6 +45,9 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
     write_motions(tmp_path / "motions.npz", make_run(5, outside=7))
     with np.load(tmp_path / "motions.npz") as archive:
         found = {name: (archive[name].shape, archive[name].dtype.str) for name in archive.files}
+        about = str(archive["about"])
+    assert "left perturbation [translation; rotation]" in about
+    del found["about"]
     assert found == {
         "stamps_ns": ((5,), "<i8"),
         "T_curr_prev": ((4, 4, 4), "<f8"),

@@ -26,6 +26,13 @@ from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.files import write_atomically
 from probevo.storage.npz import NO_NPZ, read_npz
 
+ABOUT = (
+    "T_curr_prev [N-1, 4, 4]: points of the previous left camera to the current one, m."
+    " cov [N-1, 6, 6]: covariance of the left perturbation [translation; rotation], m and rad:"
+    " T_true = Exp(perturbation) T. Camera axes: x right, y down, z forward. All else:"
+    " docs/results.md."
+)
+"""Tells whoever opens the file alone what it holds."""
 _STAGE = "ms_"
 _REJECTED = "rejected_"
 _UNUSABLE = "unusable_"
@@ -99,6 +106,7 @@ def write_motions(path: Path, result: RunResult) -> None:
         "num_tracks": result.num_tracks,
         "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
+        "about": np.array(ABOUT),
     }
     # Motions do not tell the path that sensors have corrected.
     if not np.array_equal(result.T_world_cam, _compounded(result.T_curr_prev, len(result))):
