@@ -44,6 +44,19 @@ def test_a_texture_that_repeats_within_reach_is_not(period_px: int) -> None:
     assert unique(texture(rng, period_px=period_px), places_inside(rng)).mean() < 0.1
 
 
+def test_a_texture_that_repeats_exactly_is_not() -> None:
+    """Without noise, both places differ by nothing."""
+    rng = np.random.default_rng(0)
+    assert not unique(texture(rng, period_px=16), places_inside(rng), sigma=0.0).any()
+
+
+def test_an_exact_match_without_a_second_place_is_unique() -> None:
+    """As in an image that is hardly wider than its window."""
+    left = texture(np.random.default_rng(0))[:, : WINDOW_PX + 4]
+    places = np.array([[7.0, 50.0]])
+    assert find_unique(left, left, places, places, window_px=WINDOW_PX).all()
+
+
 def test_a_period_beyond_reach_does_not_matter() -> None:
     """Lucas–Kanade does not get there."""
     rng = np.random.default_rng(0)

@@ -86,5 +86,6 @@ def _is_best(squared: AnyArray, match: int, half: int) -> bool:
             best = min(best, squared[k])
         elif distance > half:
             second = min(second, squared[k])
-    # The ratio is one of differences, which are squared here.
-    return best <= LARGEST_RATIO**2 * second
+    # The ratio is one of differences, which are squared here. Where both are zero, the texture
+    # repeats exactly; without a second place, its difference is infinite.
+    return best < LARGEST_RATIO**2 * second
