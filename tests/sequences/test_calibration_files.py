@@ -80,6 +80,15 @@ def test_kalibr(model: str, coefficients: Any, tmp_path: Path) -> None:
     assert calibration.time_offset_s == -0.03
 
 
+def test_a_number_that_yaml_takes_for_text_is_a_number(tmp_path: Path) -> None:
+    """YAML 1.1 wants a point in 1e-5; those who write by hand leave it out."""
+    text = yaml.safe_dump(kalibr())
+    assert text.count("timeshift_cam_imu: -0.03") == 2
+    path = tmp_path / "camchain.yaml"
+    path.write_text(text.replace("timeshift_cam_imu: -0.03", "timeshift_cam_imu: 1e-5"))
+    assert read_stereo_calibration(path).time_offset_s == 1e-5
+
+
 def test_kalibr_without_chain_takes_the_poses_of_the_imu(tmp_path: Path) -> None:
     content = kalibr()
     del content["cam1"]["T_cn_cnm1"]
@@ -99,6 +108,8 @@ REFUSED: dict[str, tuple[str, str, Any, str]] = {
     "no size": ("cam0", "resolution", [64], "expected 1×2"),
     "no rotation": ("cam1", "T_cn_cnm1", np.diag([2.0, 1, 1, 1]).tolist(), "T_cn_cnm1"),
     "text": ("cam0", "intrinsics", "wide", "no list of numbers"),
+    "a text for a number": ("cam0", "timeshift_cam_imu", "soon", "expected a finite number"),
+    "no finite number": ("cam0", "timeshift_cam_imu", "inf", "expected a finite number"),
     "too many digits": ("cam1", "T_cn_cnm1", [10**400] * 16, "no list of numbers"),
     "a single one of them": ("cam0", "timeshift_cam_imu", 10**400, "expected a finite number"),
 }
