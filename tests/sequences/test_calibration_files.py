@@ -186,7 +186,7 @@ def test_orb_slam3(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.T_left_imu, T_LEFT_IMU, atol=1e-12)
 
 
-def write_ros(folder: Path) -> None:
+def write_ros(folder: Path, distortion: tuple[float, ...] = RADTAN) -> None:
     """Write left.yaml and right.yaml of a rectification that OpenCV has computed."""
     R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
         camera_matrix(LEFT_K),
@@ -200,7 +200,7 @@ def write_ros(folder: Path) -> None:
     for side, K, R, P in (("left", LEFT_K, R_left, P_left), ("right", RIGHT_K, R_right, P_right)):
         matrices = {
             "camera_matrix": camera_matrix(K),
-            "distortion_coefficients": np.array([RADTAN]),
+            "distortion_coefficients": np.array([distortion]),
             "rectification_matrix": R,
             "projection_matrix": P,
         }
@@ -221,6 +221,16 @@ def test_ros(tmp_path: Path) -> None:
         read_stereo_calibration(tmp_path / "right.yaml")
     with pytest.raises(InputError, match="does not tell which"):
         read_stereo_calibration(tmp_path / "front.yaml")
+
+
+def test_ros_with_the_zeros_that_opencv_appends(tmp_path: Path) -> None:
+    """Thin-prism and tilt terms of zero change nothing; others are not known here."""
+    write_ros(tmp_path, (*RADTAN, *np.zeros(10)))
+    calibration = read_stereo_calibration(tmp_path / "left.yaml", SIZE_PX)
+    assert_as_written(calibration, coefficients=(*RADTAN, 0.0, 0.0, 0.0, 0.0))
+    write_ros(tmp_path, (*RADTAN, *np.zeros(9), 0.01))
+    with pytest.raises(InputError, match="takes 4 or 5 or 8 finite coefficients"):
+        read_stereo_calibration(tmp_path / "left.yaml", SIZE_PX).rectification()
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,14 @@ class Rectification:
         return _remapped(left, self.left_maps), _remapped(right, self.right_maps)
 
 
+def without_unused(distortion: FloatArray) -> FloatArray:
+    """Return "radtan" coefficients without thin-prism and tilt terms of zero, which OpenCV and ROS
+    append to the eight others."""
+    if len(distortion) in (12, 14) and not np.any(distortion[8:]):
+        return distortion[:8]
+    return distortion
+
+
 def _check_pair(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, where: str | Path
 ) -> None:
