@@ -190,6 +190,22 @@ def test_an_impossible_pair_is_refused(
         Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
 
 
+def test_known_projections_of_two_sizes_are_refused() -> None:
+    """Raw images of one of the sizes would be remapped by the maps of the other."""
+    left, right = RADTAN
+    camera = Rectification.from_calibration(left, right, T_RIGHT_LEFT).camera
+    other = dataclasses.replace(right, size_px=(1504, 960))
+    with pytest.raises(InputError, match=r"left\.yaml: size_px is \(752, 480\) on the left"):
+        Rectification.from_projections(
+            left,
+            other,
+            camera,
+            C_rect_left=np.eye(3),
+            C_rect_right=np.eye(3),
+            where="left.yaml",
+        )
+
+
 def test_images_of_another_size_are_refused() -> None:
     rectification = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT)
     width_px, height_px = RADTAN[0].size_px

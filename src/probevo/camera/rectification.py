@@ -123,17 +123,18 @@ class Rectification:
 
         Args:
             left: calibration of the left camera.
-            right: calibration of the right camera.
+            right: calibration of the right camera, of the same size.
             camera: the rectified stereo camera.
             C_rect_left: rotation from the raw to the rectified left camera, [3, 3].
             C_rect_right: the same of the right camera.
             where: file that the calibration comes from, for messages.
 
         Raises:
-            InputError: a camera or a rotation is impossible.
+            InputError: a camera or a rotation is impossible, or the sizes differ.
         """
         _check_pinhole(left, f"{where}: left camera")
         _check_pinhole(right, f"{where}: right camera")
+        _check_same("size_px", left, right, where=where)
         # Both rectified cameras have the same K; the maps do not use the fourth column.
         P_rect = np.array(
             [
@@ -187,13 +188,8 @@ def _check_pair(
     """
     _check_pinhole(left, f"{where}: left camera")
     _check_pinhole(right, f"{where}: right camera")
-    for name in ("distortion_model", "size_px"):
-        if getattr(left, name) != getattr(right, name):
-            what = (
-                f"{name} is {getattr(left, name)} on the left and {getattr(right, name)} on the"
-                " right."
-            )
-            raise InputError(where, what, "Both cameras must be of the same kind.")
+    _check_same("distortion_model", left, right, where=where)
+    _check_same("size_px", left, right, where=where)
     if not np.isfinite(T_right_left).all():
         raise InputError(
             where,
@@ -208,6 +204,19 @@ def _check_pair(
     if not T_right_left[:3, 3].any():
         what = "the left and right cameras are at the same place."
         raise InputError(where, what, "Are the left and right calibration the same file?")
+
+
+def _check_same(name: str, left: PinholeCamera, right: PinholeCamera, where: str | Path) -> None:
+    """Refuse two cameras that differ in a property.
+
+    Raises:
+        InputError: names the property.
+    """
+    if getattr(left, name) != getattr(right, name):
+        what = (
+            f"{name} is {getattr(left, name)} on the left and {getattr(right, name)} on the right."
+        )
+        raise InputError(where, what, "Both cameras must be of the same kind.")
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:
