@@ -28,7 +28,8 @@ class SwappedImagesError(InputError):
 def count_matches(tracks: Tracks) -> tuple[int, int]:
     """Count the stereo matches of one step with positive and with negative disparity.
 
-    Matches that the tracker has rejected for their negative disparity are included.
+    Matches that the tracker has rejected for their negative disparity are included. Their windows
+    look alike: elsewhere, Lucas–Kanade only did not find the true place.
     """
     is_positive = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
     num_positive = int(is_positive.sum())
