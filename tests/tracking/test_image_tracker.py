@@ -272,8 +272,26 @@ def near_wall(disparity_px: int, frames: int = 4) -> list[Frame]:
 
 def test_a_near_wall_does_not_look_swapped() -> None:
     """Its matches are out of reach: Lucas–Kanade ends anywhere, also to the right."""
-    for tracked in track_all(near_wall(disparity_px=70), np.eye(4)):
+    for tracked in track_all(near_wall(disparity_px=120), np.eye(4)):
         assert tracked.tracks.rejected["negative disparity"] < 3
+
+
+@pytest.mark.parametrize("disparity_px", [10, 40, 75])
+def test_new_corners_are_found_at_any_disparity(disparity_px: int) -> None:
+    """Up to a quarter of the width, in the first frame, without a feature to start from."""
+    state = track_all(near_wall(disparity_px, frames=1))[0].state
+    found_px = state.pixels[:, 0] - state.pixels[:, 2]
+    assert len(state) > 50
+    np.testing.assert_allclose(found_px, disparity_px, atol=0.1)
+
+
+def test_a_near_wall_that_is_swapped_looks_so() -> None:
+    swapped = [
+        replace(frame, left=frame.right, right=frame.left) for frame in near_wall(disparity_px=70)
+    ]
+    for tracked in track_all(swapped, np.eye(4)):
+        assert len(tracked.state) < 5
+        assert tracked.tracks.rejected["negative disparity"] > 50
 
 
 def test_a_change_of_exposure_between_frames_does_no_harm(frames: list[Frame]) -> None:

@@ -17,15 +17,19 @@ from probevo.sequences.prepared_images import PreparedImages
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.contrast import with_contrast_of
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
-from probevo.tracking.lucas_kanade import track_points
+from probevo.tracking.lucas_kanade import TrackedPoints, track_points
 from probevo.tracking.preparation import prepare_images
 from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
-from probevo.tracking.uniqueness_numba import find_unique
+from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
 BORDER_PX = 5.0
 """Nearer to the border, too much of the window lies outside of the image."""
+LARGEST_DISPARITY = 0.25
+"""Largest disparity at which a new corner is searched, in widths of the image.
+
+With ordinary lenses, it is that of a depth of two to three baselines."""
 ALIKE_BEHIND = 6.0
 """Difference up to which a match with negative disparity counts as one, in grey levels.
 
@@ -231,6 +235,7 @@ class ImageTracker:
         tracked = track_points(
             left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
         )
+        tracked = self._with_row_search(images, left_px, tracked, is_predicted)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
         is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
@@ -276,6 +281,65 @@ class ImageTracker:
             cov_px2=aligned.cov_px2[fits],
         )
 
+    def _with_row_search(
+        self,
+        images: PreparedImages,
+        left_px: FloatArray,
+        tracked: TrackedPoints,
+        is_predicted: BoolArray,
+    ) -> TrackedPoints:
+        """Search those new corners along their rows that Lucas–Kanade has not found.
+
+        The disparity of a new corner is a guess, and Lucas–Kanade reaches a few tens of pixels.
+        Near points are beyond, and so are those of a high resolution or a wide baseline. The search
+        goes in both directions, so that swapped images are recognised.
+
+        Args:
+            images: the left and the right image.
+            left_px: N points in the left image, (u, v), [N, 2], px.
+            tracked: where Lucas–Kanade has ended in the right image.
+            is_predicted: which disparities follow from the previous frame, [N].
+
+        Returns:
+            All N points, those that the search has found at their new places.
+        """
+        looks_alike = tracked.difference <= _gate(self._config)
+        same_row, _ = self._is_consistent(left_px, tracked.pixels)
+        lost = np.flatnonzero(~is_predicted & ~(same_row & looks_alike))
+        # In images of half the size there are half as many places, windows cover more, and an error
+        # of the rows is half as large.
+        level = min(1, len(images.left) - 1)
+        scale = 0.5**level
+        width_px = images.left[level].shape[1]
+        disparity_px = find_along_row(
+            images.left[level],
+            images.right[level],
+            scale * left_px[lost],
+            reach_px=round(LARGEST_DISPARITY * width_px),
+            window_px=self._config.window_px,
+        )
+        is_unique = np.isfinite(disparity_px)
+        lost = lost[is_unique]
+        start_px = left_px[lost].copy()
+        start_px[:, 0] -= disparity_px[is_unique] / scale
+        # From there, Lucas–Kanade is left with a fraction of a pixel, and with the row offset.
+        again = track_points(
+            images.left,
+            images.right,
+            left_px[lost],
+            start_px=start_px,
+            config=self._config,
+            near=np.ones(len(lost), np.bool_),
+        )
+        same_row, _ = self._is_consistent(left_px[lost], again.pixels)
+        is_found = same_row & (again.difference <= _gate(self._config))
+        found = lost[is_found]
+        pixels = tracked.pixels.copy()
+        pixels[found] = again.pixels[is_found]
+        difference = tracked.difference.copy()
+        difference[found] = again.difference[is_found]
+        return TrackedPoints(pixels, difference)
+
     def _is_consistent(
         self, left_px: FloatArray, right_px: FloatArray
     ) -> tuple[BoolArray, BoolArray]:
@@ -315,11 +379,15 @@ def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConf
     ranked = np.sort(difference[candidates & np.isfinite(difference)])
     quarter = min(config.num_features // 4, len(ranked))
     limit = float(ranked[quarter - 1]) if len(ranked) else 0.0
-    gate = (
-        MAX_DIFFERENCE_OF["two-frame"] if config.max_difference is None else config.max_difference
-    )
-    similar: BoolArray = candidates & (difference <= max(gate, limit))
+    similar: BoolArray = candidates & (difference <= max(_gate(config), limit))
     return similar & np.isfinite(difference)
+
+
+def _gate(config: TrackingConfig) -> float:
+    """Return the largest difference of windows that show the same feature, grey levels."""
+    if config.max_difference is None:
+        return MAX_DIFFERENCE_OF["two-frame"]
+    return config.max_difference
 
 
 def _unmasked(pixels: FloatArray, usable: BoolArray) -> BoolArray:
