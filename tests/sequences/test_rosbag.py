@@ -268,6 +268,11 @@ def test_raw_images_are_rectified_by_the_camera_info(tmp_path: Path) -> None:
     frame = next(iter(bag))
     assert frame.left is not None
     np.testing.assert_array_equal(frame.left[:, 3:], image(0)[:, :-3])
+    # The first three columns show nothing.
+    inside = np.broadcast_to(np.arange(frame.left.shape[1]) >= 3, frame.left.shape)
+    for mask in (frame.left_mask, frame.right_mask):
+        assert mask is not None
+        np.testing.assert_array_equal(mask > 0, inside)
 
 
 def test_the_zeros_that_opencv_appends_to_the_coefficients_change_nothing(tmp_path: Path) -> None:
