@@ -160,15 +160,17 @@ class ImageTracker:
         # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
         # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
-        visible = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
-        rejected["left the view"] += len(prev) - len(visible)
+        # ``alive`` are the rows of the features that have passed all checks so far, in ``prev``,
+        # ``patches`` and ``motion``.
+        alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
+        rejected["left the view"] += len(prev) - len(alive)
         # Lucas–Kanade from the previous image, which looks most alike. Its errors add up along the
         # track; the alignment below removes them.
         tracked = track_points(
             with_contrast_of(prev.left, left),
             left,
-            prev.pixels[visible, :2],
-            start_px=motion.pixels[visible],
+            prev.pixels[alive, :2],
+            start_px=motion.pixels[alive],
             config=self._config,
         )
         inside = _inside(tracked.pixels, image)
@@ -177,15 +179,14 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
             rejected["masked"] += int((inside & ~unmasked).sum())
             inside &= unmasked
-        similar = _similar(tracked.difference, inside, self._config)
-        rejected["looks different"] += int((inside & ~similar).sum())
-        # From here on, all arrays are of the features that are similar.
-        prev = replace(prev, patches=None).subset(visible[similar])
-        patches = patches.subset(visible[similar])
-        motion = motion.subset(visible[similar])
+        alike = _look_alike(tracked.difference, inside, self._config)
+        rejected["looks different"] += int((inside & ~alike).sum())
+        alive = alive[alike]
         # Align with the anchor patch, the image of the feature when it was first seen, which
         # removes the drift. If that fails, the window no longer shows the same point of the scene.
-        aligned = patches.align_left(image, tracked.pixels[similar], motion)
+        aligned = patches.subset(alive).align_left(
+            image, tracked.pixels[alike], motion.subset(alive)
+        )
         fits = np.isfinite(aligned.difference)
         rejected[NO_FIT] += int((~fits).sum())
         # Of two features that have converged on one point, keep the older one, which comes first.
@@ -194,14 +195,15 @@ class ImageTracker:
         separate = non_overlapping(aligned.pixels[kept], image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
         kept = kept[separate]
-        prev = prev.subset(kept)
+        alive = alive[kept]
+        followed = replace(prev, patches=None).subset(alive)
         # d = f_u b/z grows as the depth shrinks. A negative one is noise: at infinity it is zero.
-        prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
+        prev_disparity_px = np.maximum(followed.pixels[:, 0] - followed.pixels[:, 2], 0.0)
         return _FoundInTime(
-            prev=prev,
+            prev=followed,
             left_px=aligned.pixels[kept],
             patches=aligned.patches.subset(kept),
-            disparity_px=motion.growth[kept] * prev_disparity_px,
+            disparity_px=motion.growth[alive] * prev_disparity_px,
             difference=aligned.difference[kept],
             cov_px2=aligned.cov_px2[kept],
         )
@@ -251,28 +253,28 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.right_usable)
             rejected["masked"] += int((consistent & ~unmasked).sum())
             consistent &= unmasked
-        similar = _similar(tracked.difference, consistent, self._config)
-        rejected["no stereo match"] += int((consistent & ~similar).sum())
+        alike = _look_alike(tracked.difference, consistent, self._config)
+        rejected["no stereo match"] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
-        aligned = patches.subset(similar).align_right(right[0], tracked.pixels[similar])
-        same_row, has_disparity = self._is_consistent(left_px[similar], aligned.pixels)
+        aligned = patches.subset(alike).align_right(right[0], tracked.pixels[alike])
+        same_row, has_disparity = self._is_consistent(left_px[alike], aligned.pixels)
         fits = np.isfinite(aligned.difference) & same_row & has_disparity
         rejected[NO_FIT] += int((~fits).sum())
         # A new feature must not repeat along its row: nothing but its neighbours tells which of
         # the places is the true one. An old one was found there before.
-        is_new = fits & ~is_predicted[similar]
+        is_new = fits & ~is_predicted[alike]
         unique = find_unique(
             left[0],
             right[0],
-            left_px[similar][is_new],
+            left_px[alike][is_new],
             aligned.pixels[is_new],
             window_px=self._config.window_px,
         )
         rejected["repeats along its row"] += int((~unique).sum())
         fits[is_new] = unique
-        # ``fits`` is over the similar points; scatter it over all N.
-        matched = similar.copy()
-        matched[similar] = fits
+        # ``fits`` is over the points that look alike; scatter it over all N.
+        matched = alike.copy()
+        matched[alike] = fits
         return _FoundInStereo(
             matched=matched,
             right_px=aligned.pixels[fits],
@@ -369,18 +371,27 @@ def _disparity_of_nearest(
     return found
 
 
-def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
-    """Return which of the candidates [N] look the same in both windows.
+def _look_alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
+    """Return which of the candidates [N] look alike in both windows.
 
     These differ little, or are among the least different quarter of the features wanted: where
     everything has changed, by a large step or blur, some must go on.
     """
-    # The quarter is of those wanted, not of those found, so that few survivors are not thinned.
-    ranked = np.sort(difference[candidates & np.isfinite(difference)])
-    quarter = min(config.num_features // 4, len(ranked))
-    limit = float(ranked[quarter - 1]) if len(ranked) else 0.0
-    similar: BoolArray = candidates & (difference <= max(_gate(config), limit))
-    return similar & np.isfinite(difference)
+    candidates = candidates & np.isfinite(difference)
+    largest = max(_gate(config), _largest_of_quarter(difference[candidates], config))
+    alike: BoolArray = candidates & (difference <= largest)
+    return alike
+
+
+def _largest_of_quarter(difference: FloatArray, config: TrackingConfig) -> float:
+    """Return the largest of the least differences [N] that make a quarter of the features wanted.
+
+    The quarter is of those wanted, not of those found, so that few survivors are not thinned.
+    """
+    if len(difference) == 0:
+        return 0.0
+    quarter = min(config.num_features // 4, len(difference))
+    return float(np.sort(difference)[quarter - 1])
 
 
 def _gate(config: TrackingConfig) -> float:

@@ -17,7 +17,7 @@ FEWEST_MATCHES = 30
 MOST_BEHIND = 0.8
 """Share of matches with negative disparity beyond which the images count as swapped.
 
-It is over 0.98 for swapped recordings of KITTI and EuRoC, under 0.05 for correct ones, and one half
+It is over 0.9 for swapped recordings of KITTI and EuRoC, under 0.01 for correct ones, and one half
 where everything is too far away for a decision."""
 
 
