@@ -9,11 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.image_errors import NUM_ERRORS, ImageErrors
-from probevo.camera.rig_calibration import (
-    disparity_basis,
-    radial_basis,
-    row_basis,
-)
+from probevo.camera.rig_calibration import disparity_basis, row_basis
 from probevo.camera.rig_rows_numba import RADIAL, ROLL
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
@@ -132,6 +128,17 @@ def misrectified(
         seen[:, 2] = undistorted_px + rows_px[RADIAL] * radial_basis(seen, CAMERA)
     seen[:, 3] += row_basis(seen, CAMERA) @ rows_px
     return seen
+
+
+def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return ∂u_r/∂a₆ of N features, x r² f_u/f_v in the right image, [N]; d decreases by as
+    much."""
+    # x in the right image, y in the left one, as in ``fill_row_basis``. The factor f_u/f_v is there
+    # because a₆ is in px of v.
+    x, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
+    _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
+    basis: FloatArray = camera.fu_px / camera.fv_px * x * (x * x + y * y)
+    return basis
 
 
 def motion_error(T_estimated: FloatArray, T_true: FloatArray = FORWARD) -> FloatArray:

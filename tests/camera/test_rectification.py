@@ -120,6 +120,32 @@ def test_every_rectified_pixel_lies_inside_the_raw_image(
 
 
 @pairs
+def test_images_without_black_areas_have_no_mask(pair: tuple[PinholeCamera, PinholeCamera]) -> None:
+    rectification = Rectification.from_calibration(*pair, T_RIGHT_LEFT)
+    assert rectification.left_mask is None
+    assert rectification.right_mask is None
+
+
+def test_what_lies_outside_of_the_raw_image_is_masked() -> None:
+    """A fisheye pair whose cameras look inwards by 10° each keeps its focal length."""
+    left, right = (dataclasses.replace(camera, fu_px=500.0, fv_px=500.0) for camera in EQUIDISTANT)
+    inwards = se3.from_parts(so3.exp(np.array([0.0, np.deg2rad(20.0), 0.0])), np.zeros(3))
+    inwards[:3, 3] = -inwards[:3, :3] @ [0.1 * np.cos(0.17), 0.0, 0.1 * np.sin(0.17)]
+    rectification = Rectification.from_calibration(left, right, inwards)
+    rng = np.random.default_rng(0)
+    raw = rng.integers(1, 256, size=left.size_px[::-1]).astype(np.uint8)
+    images = rectification.rectify(raw, raw)
+    masks = (rectification.left_mask, rectification.right_mask)
+    for image, mask in zip(images, masks, strict=True):
+        assert mask is not None
+        assert 0.02 < np.mean(mask == 0) < 0.5
+        assert set(np.unique(mask)) == {0, 255}
+        assert (image[mask == 255] > 0).all()
+        # But for the line between both, which is partly masked.
+        assert np.mean(image[mask == 0] == 0) > 0.95
+
+
+@pairs
 def test_rectification_keeps_the_baseline(pair: tuple[PinholeCamera, PinholeCamera]) -> None:
     camera = Rectification.from_calibration(*pair, T_RIGHT_LEFT).camera
     assert camera.baseline_m == pytest.approx(np.linalg.norm(T_RIGHT_LEFT[:3, 3]), rel=1e-9)
@@ -188,6 +214,22 @@ def test_an_impossible_pair_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=rf"sensor\.yaml: (.|\n)*{message}"):
         Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
+
+
+def test_known_projections_of_two_sizes_are_refused() -> None:
+    """Raw images of one of the sizes would be remapped by the maps of the other."""
+    left, right = RADTAN
+    camera = Rectification.from_calibration(left, right, T_RIGHT_LEFT).camera
+    other = dataclasses.replace(right, size_px=(1504, 960))
+    with pytest.raises(InputError, match=r"left\.yaml: size_px is \(752, 480\) on the left"):
+        Rectification.from_projections(
+            left,
+            other,
+            camera,
+            C_rect_left=np.eye(3),
+            C_rect_right=np.eye(3),
+            where="left.yaml",
+        )
 
 
 def test_images_of_another_size_are_refused() -> None:

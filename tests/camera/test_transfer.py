@@ -7,7 +7,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer import NEAREST_DEPTH_RATIO, seen_from_left, transfer
+from probevo.camera.transfer import NEAREST_DEPTH_RATIO, transfer
 from probevo.geometry import se3
 
 CAMERA = StereoCamera(
@@ -94,10 +94,3 @@ def test_no_points_give_none() -> None:
     moved = transfer(np.zeros((0, 4)), T_B_A, CAMERA)
     assert moved.pixels.shape == (0, 4)
     assert moved.in_front.shape == moved.depth_ratio.shape == (0,)
-
-
-def test_seen_from_left_keeps_the_left_row_and_no_negative_disparity() -> None:
-    seen = np.array([[5.0, 2.0, 4.0, 3.0], [5.0, 2.0, 6.0, 1.0]])
-    expected = [[5.0, 2.0, 4.0, 2.0], [5.0, 2.0, 5.0, 2.0]]
-    np.testing.assert_array_equal(seen_from_left(seen), expected)
-    assert np.array_equal(seen, [[5.0, 2.0, 4.0, 3.0], [5.0, 2.0, 6.0, 1.0]])

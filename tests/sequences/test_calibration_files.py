@@ -80,6 +80,15 @@ def test_kalibr(model: str, coefficients: Any, tmp_path: Path) -> None:
     assert calibration.time_offset_s == -0.03
 
 
+def test_a_number_that_yaml_takes_for_text_is_a_number(tmp_path: Path) -> None:
+    """YAML 1.1 wants a point in 1e-5; those who write by hand leave it out."""
+    text = yaml.safe_dump(kalibr())
+    assert text.count("timeshift_cam_imu: -0.03") == 2
+    path = tmp_path / "camchain.yaml"
+    path.write_text(text.replace("timeshift_cam_imu: -0.03", "timeshift_cam_imu: 1e-5"))
+    assert read_stereo_calibration(path).time_offset_s == 1e-5
+
+
 def test_kalibr_without_chain_takes_the_poses_of_the_imu(tmp_path: Path) -> None:
     content = kalibr()
     del content["cam1"]["T_cn_cnm1"]
@@ -99,6 +108,8 @@ REFUSED: dict[str, tuple[str, str, Any, str]] = {
     "no size": ("cam0", "resolution", [64], "expected 1×2"),
     "no rotation": ("cam1", "T_cn_cnm1", np.diag([2.0, 1, 1, 1]).tolist(), "T_cn_cnm1"),
     "text": ("cam0", "intrinsics", "wide", "no list of numbers"),
+    "a text for a number": ("cam0", "timeshift_cam_imu", "soon", "expected a finite number"),
+    "no finite number": ("cam0", "timeshift_cam_imu", "inf", "expected a finite number"),
     "too many digits": ("cam1", "T_cn_cnm1", [10**400] * 16, "no list of numbers"),
     "a single one of them": ("cam0", "timeshift_cam_imu", 10**400, "expected a finite number"),
 }
@@ -175,7 +186,7 @@ def test_orb_slam3(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.T_left_imu, T_LEFT_IMU, atol=1e-12)
 
 
-def write_ros(folder: Path) -> None:
+def write_ros(folder: Path, distortion: tuple[float, ...] = RADTAN) -> None:
     """Write left.yaml and right.yaml of a rectification that OpenCV has computed."""
     R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
         camera_matrix(LEFT_K),
@@ -189,7 +200,7 @@ def write_ros(folder: Path) -> None:
     for side, K, R, P in (("left", LEFT_K, R_left, P_left), ("right", RIGHT_K, R_right, P_right)):
         matrices = {
             "camera_matrix": camera_matrix(K),
-            "distortion_coefficients": np.array([RADTAN]),
+            "distortion_coefficients": np.array([distortion]),
             "rectification_matrix": R,
             "projection_matrix": P,
         }
@@ -210,6 +221,16 @@ def test_ros(tmp_path: Path) -> None:
         read_stereo_calibration(tmp_path / "right.yaml")
     with pytest.raises(InputError, match="does not tell which"):
         read_stereo_calibration(tmp_path / "front.yaml")
+
+
+def test_ros_with_the_zeros_that_opencv_appends(tmp_path: Path) -> None:
+    """Thin-prism and tilt terms of zero change nothing; others are not known here."""
+    write_ros(tmp_path, (*RADTAN, *np.zeros(10)))
+    calibration = read_stereo_calibration(tmp_path / "left.yaml", SIZE_PX)
+    assert_as_written(calibration, coefficients=(*RADTAN, 0.0, 0.0, 0.0, 0.0))
+    write_ros(tmp_path, (*RADTAN, *np.zeros(9), 0.01))
+    with pytest.raises(InputError, match="takes 4 or 5 or 8 finite coefficients"):
+        read_stereo_calibration(tmp_path / "left.yaml", SIZE_PX).rectification()
 
 
 @pytest.mark.parametrize(

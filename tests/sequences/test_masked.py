@@ -1,19 +1,25 @@
 """Masks of a recording: where they come from, and what is refused."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from probevo.arrays import AnyArray, Image
+from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.runs.runner import run_sequence
 from probevo.sequences import Frame, Sequence, open_sequence
 from probevo.sequences.frame_checks import check_frame
+from probevo.sequences.masked import with_masks
 from probevo.sequences.recording import ImageRecording
 from sequences.recordings import (
+    CU_PX,
+    CV_PX,
+    FU_PX,
     HEIGHT_PX,
     WIDTH_PX,
     write_euroc,
@@ -101,6 +107,44 @@ def test_masks_of_raw_images_are_rectified(tmp_path: Path) -> None:
             assert found is not None
             np.testing.assert_array_equal(found, np.where(grey == 255, 255, 0))
             assert 0.2 < np.mean(found > 0) < 0.6
+
+
+@pytest.mark.parametrize("given", ["none", "left", "both"])
+def test_what_a_rectification_leaves_black_is_masked(given: str, tmp_path: Path) -> None:
+    """Besides what the user masks: a principal point five pixels further right leaves five columns
+    black."""
+    ideal = PinholeCamera(
+        FU_PX,
+        FU_PX,
+        CU_PX,
+        cv_px=CV_PX,
+        distortion_model="radtan",
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        size_px=(WIDTH_PX, HEIGHT_PX),
+    )
+    plain = open_sequence(write_euroc(tmp_path / "euroc"))
+    assert isinstance(plain, ImageRecording)
+    rectification = Rectification.from_projections(
+        ideal,
+        ideal,
+        replace(plain.camera, fu_px=FU_PX, fv_px=FU_PX, cu_px=CU_PX + 5.0, cv_px=CV_PX),
+        C_rect_left=np.eye(3),
+        C_rect_right=np.eye(3),
+    )
+    black = replace(plain, camera=rectification.camera, rectification=rectification)
+    sequence = with_masks(
+        black,
+        left=half() if given in ("left", "both") else None,
+        right=half() if given == "both" else None,
+    )
+    inside = np.broadcast_to(np.arange(WIDTH_PX) >= 5, SHAPE)
+    for left, right in masks_of(sequence):
+        assert left is not None
+        assert right is not None
+        expected = inside if given == "none" else inside & (half() > 0)
+        np.testing.assert_array_equal(left > 0, expected)
+        expected = inside & (half() > 0) if given == "both" else inside
+        np.testing.assert_array_equal(right > 0, expected)
 
 
 @pytest.mark.parametrize(

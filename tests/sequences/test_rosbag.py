@@ -268,6 +268,31 @@ def test_raw_images_are_rectified_by_the_camera_info(tmp_path: Path) -> None:
     frame = next(iter(bag))
     assert frame.left is not None
     np.testing.assert_array_equal(frame.left[:, 3:], image(0)[:, :-3])
+    # The first three columns show nothing.
+    inside = np.broadcast_to(np.arange(frame.left.shape[1]) >= 3, frame.left.shape)
+    for mask in (frame.left_mask, frame.right_mask):
+        assert mask is not None
+        np.testing.assert_array_equal(mask > 0, inside)
+
+
+def test_the_zeros_that_opencv_appends_to_the_coefficients_change_nothing(tmp_path: Path) -> None:
+    """A rational model of 14 coefficients whose thin-prism and tilt terms are zero."""
+    stamps = [0, FRAME_NS]
+    rational = [0.1, -0.02, 0.0, 0.0, 0.01, 0.02, -0.01, 0.002]
+    frames = []
+    for name, coefficients in (("eight", rational), ("fourteen", [*rational, *[0.0] * 6])):
+        messages = []
+        for message in stereo_messages(stamps, stamps):
+            topic = message.topic.replace("image_rect", "image_raw")
+            fields = message.fields
+            if "P" in fields:
+                fields = fields | {"D": np.array(coefficients)}
+                fields = fields | {"distortion_model": "rational_polynomial"}
+            messages.append(replace(message, topic=topic, fields=fields))
+        bag = open_sequence(write_messages(tmp_path / name, "bag", messages))
+        frames.append(next(iter(bag)))
+    np.testing.assert_array_equal(frames[0].left, frames[1].left)
+    np.testing.assert_array_equal(frames[0].right, frames[1].right)
 
 
 def test_images_of_another_size_than_the_camera_info_are_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -246,6 +247,51 @@ def test_swapped_cameras_show_as_negative_disparity(frames: list[Frame]) -> None
     tracks = follow(swapped)
     assert len(tracks) < 5
     assert tracks.rejected["negative disparity"] > 60
+
+
+def near_wall(disparity_px: int, frames: int = 4) -> list[Frame]:
+    """Frames of a wall at one disparity, which moves by one pixel a frame along both axes."""
+    rng = np.random.default_rng(0)
+    shape = (HEIGHT_PX + frames, WIDTH_PX + disparity_px + frames)
+    grey = np.zeros(shape)
+    for grain_px in (1, 2, 4, 8):
+        coarse = rng.normal(size=(shape[0] // grain_px + 1, shape[1] // grain_px + 1))
+        grey += cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    wall = np.clip(128.0 + 20.0 * grey, 0, 255).astype(np.uint8)
+    # Left pixel u shows the column u of the wall, right pixel u the column u + d.
+    return [
+        Frame(
+            k,
+            100_000_000 * k,
+            np.ascontiguousarray(wall[k:, k:][:HEIGHT_PX, :WIDTH_PX]),
+            right=np.ascontiguousarray(wall[k:, k + disparity_px :][:HEIGHT_PX, :WIDTH_PX]),
+        )
+        for k in range(frames)
+    ]
+
+
+def test_a_near_wall_does_not_look_swapped() -> None:
+    """Its matches are out of reach: Lucas–Kanade ends anywhere, also to the right."""
+    for tracked in track_all(near_wall(disparity_px=120), np.eye(4)):
+        assert tracked.tracks.rejected["negative disparity"] < 3
+
+
+@pytest.mark.parametrize("disparity_px", [10, 40, 75])
+def test_new_corners_are_found_at_any_disparity(disparity_px: int) -> None:
+    """Up to a quarter of the width, in the first frame, without a feature to start from."""
+    state = track_all(near_wall(disparity_px, frames=1))[0].state
+    found_px = state.pixels[:, 0] - state.pixels[:, 2]
+    assert len(state) > 50
+    np.testing.assert_allclose(found_px, disparity_px, atol=0.1)
+
+
+def test_a_near_wall_that_is_swapped_looks_so() -> None:
+    swapped = [
+        replace(frame, left=frame.right, right=frame.left) for frame in near_wall(disparity_px=70)
+    ]
+    for tracked in track_all(swapped, np.eye(4)):
+        assert len(tracked.state) < 5
+        assert tracked.tracks.rejected["negative disparity"] > 50
 
 
 def test_a_change_of_exposure_between_frames_does_no_harm(frames: list[Frame]) -> None:

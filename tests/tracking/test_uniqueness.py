@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import BoolArray, FloatArray, Image
-from probevo.tracking.uniqueness_numba import REACH_PX, find_unique
+from probevo.tracking.uniqueness_numba import REACH_PX, find_along_row, find_unique
 
 WINDOW_PX = 11
 DISPARITY_PX = 20.0
@@ -44,6 +44,19 @@ def test_a_texture_that_repeats_within_reach_is_not(period_px: int) -> None:
     assert unique(texture(rng, period_px=period_px), places_inside(rng)).mean() < 0.1
 
 
+def test_a_texture_that_repeats_exactly_is_not() -> None:
+    """Without noise, both places differ by nothing."""
+    rng = np.random.default_rng(0)
+    assert not unique(texture(rng, period_px=16), places_inside(rng), sigma=0.0).any()
+
+
+def test_an_exact_match_without_a_second_place_is_unique() -> None:
+    """As in an image that is hardly wider than its window."""
+    left = texture(np.random.default_rng(0))[:, : WINDOW_PX + 4]
+    places = np.array([[7.0, 50.0]])
+    assert find_unique(left, left, places, places, window_px=WINDOW_PX).all()
+
+
 def test_a_period_beyond_reach_does_not_matter() -> None:
     """Lucas–Kanade does not get there."""
     rng = np.random.default_rng(0)
@@ -63,3 +76,34 @@ def test_windows_across_the_border_are_taken_for_unique() -> None:
     places = np.array([[2.0, 50.0], [150.0, 1.0], [298.0, 50.0], [150.0, 98.0]])
     assert find_unique(left, left, places, places, window_px=WINDOW_PX).all()
     assert find_unique(left, left, places[:0], places[:0], window_px=WINDOW_PX).shape == (0,)
+
+
+@pytest.mark.parametrize("disparity_px", [-45, 0, 7, 58])
+def test_the_place_in_the_row_is_found_in_both_directions(disparity_px: int) -> None:
+    rng = np.random.default_rng(0)
+    left = texture(rng)
+    right = np.roll(left, -disparity_px, axis=1)
+    found_px = find_along_row(left, right, places_inside(rng), reach_px=60, window_px=WINDOW_PX)
+    np.testing.assert_array_equal(found_px, disparity_px)
+
+
+def test_no_place_is_found_beyond_reach() -> None:
+    rng = np.random.default_rng(0)
+    left = texture(rng)
+    right = np.roll(left, -70, axis=1)
+    found_px = find_along_row(left, right, places_inside(rng), reach_px=60, window_px=WINDOW_PX)
+    assert np.isnan(found_px).mean() > 0.9
+
+
+def test_no_place_is_found_where_a_texture_repeats() -> None:
+    rng = np.random.default_rng(0)
+    left = texture(rng, period_px=24)
+    found_px = find_along_row(left, left, places_inside(rng), reach_px=60, window_px=WINDOW_PX)
+    assert np.isnan(found_px).all()
+
+
+def test_no_place_is_found_for_windows_across_the_border() -> None:
+    left = texture(np.random.default_rng(0))
+    places = np.array([[2.0, 50.0], [150.0, 1.0], [298.0, 50.0], [150.0, 98.0]])
+    assert np.isnan(find_along_row(left, left, places, reach_px=60, window_px=WINDOW_PX)).all()
+    assert find_along_row(left, left, places[:0], reach_px=60, window_px=WINDOW_PX).shape == (0,)

@@ -55,6 +55,11 @@ class Rectification:
     """Rotation from the raw to the rectified left camera, [3, 3]; both have the same origin."""
     left_maps: _PixelMaps
     right_maps: _PixelMaps
+    left_mask: Image | None
+    """Where the rectified left image lies inside the raw one, [height, width], uint8: 255, and 0
+    where it does not and is black. None if it does everywhere."""
+    right_mask: Image | None
+    """The same of the right image."""
 
     @classmethod
     def from_calibration(
@@ -101,11 +106,15 @@ class Rectification:
         )
         check_camera(camera, where)
         _check_view(camera, where)
+        left_maps = _pixel_maps(left, C_rect_left, P_left)
+        right_maps = _pixel_maps(right, C_rect_right, P_right)
         return cls(
             camera=camera,
             C_rect_left=C_rect_left,
-            left_maps=_pixel_maps(left, C_rect_left, P_left),
-            right_maps=_pixel_maps(right, C_rect_right, P_right),
+            left_maps=left_maps,
+            right_maps=right_maps,
+            left_mask=_mask_of(left_maps, left.size_px),
+            right_mask=_mask_of(right_maps, right.size_px),
         )
 
     @classmethod
@@ -123,17 +132,18 @@ class Rectification:
 
         Args:
             left: calibration of the left camera.
-            right: calibration of the right camera.
+            right: calibration of the right camera, of the same size.
             camera: the rectified stereo camera.
             C_rect_left: rotation from the raw to the rectified left camera, [3, 3].
             C_rect_right: the same of the right camera.
             where: file that the calibration comes from, for messages.
 
         Raises:
-            InputError: a camera or a rotation is impossible.
+            InputError: a camera or a rotation is impossible, or the sizes differ.
         """
         _check_pinhole(left, f"{where}: left camera")
         _check_pinhole(right, f"{where}: right camera")
+        _check_same("size_px", left, right, where=where)
         # Both rectified cameras have the same K; the maps do not use the fourth column.
         P_rect = np.array(
             [
@@ -144,11 +154,15 @@ class Rectification:
         )
         C_rect_left = so3.check_rotation(C_rect_left, f"{where}: R of the left camera")
         C_rect_right = so3.check_rotation(C_rect_right, f"{where}: R of the right camera")
+        left_maps = _pixel_maps(left, C_rect_left, P_rect)
+        right_maps = _pixel_maps(right, C_rect_right, P_rect)
         return cls(
             camera=camera,
             C_rect_left=C_rect_left,
-            left_maps=_pixel_maps(left, C_rect_left, P_rect),
-            right_maps=_pixel_maps(right, C_rect_right, P_rect),
+            left_maps=left_maps,
+            right_maps=right_maps,
+            left_mask=_mask_of(left_maps, left.size_px),
+            right_mask=_mask_of(right_maps, right.size_px),
         )
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
@@ -169,6 +183,14 @@ class Rectification:
         return _remapped(left, self.left_maps), _remapped(right, self.right_maps)
 
 
+def without_unused(distortion: FloatArray) -> FloatArray:
+    """Return "radtan" coefficients without thin-prism and tilt terms of zero, which OpenCV and ROS
+    append to the eight others."""
+    if len(distortion) in (12, 14) and not np.any(distortion[8:]):
+        return distortion[:8]
+    return distortion
+
+
 def _check_pair(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, where: str | Path
 ) -> None:
@@ -179,13 +201,8 @@ def _check_pair(
     """
     _check_pinhole(left, f"{where}: left camera")
     _check_pinhole(right, f"{where}: right camera")
-    for name in ("distortion_model", "size_px"):
-        if getattr(left, name) != getattr(right, name):
-            what = (
-                f"{name} is {getattr(left, name)} on the left and {getattr(right, name)} on the"
-                " right."
-            )
-            raise InputError(where, what, "Both cameras must be of the same kind.")
+    _check_same("distortion_model", left, right, where=where)
+    _check_same("size_px", left, right, where=where)
     if not np.isfinite(T_right_left).all():
         raise InputError(
             where,
@@ -200,6 +217,19 @@ def _check_pair(
     if not T_right_left[:3, 3].any():
         what = "the left and right cameras are at the same place."
         raise InputError(where, what, "Are the left and right calibration the same file?")
+
+
+def _check_same(name: str, left: PinholeCamera, right: PinholeCamera, where: str | Path) -> None:
+    """Refuse two cameras that differ in a property.
+
+    Raises:
+        InputError: names the property.
+    """
+    if getattr(left, name) != getattr(right, name):
+        what = (
+            f"{name} is {getattr(left, name)} on the left and {getattr(right, name)} on the right."
+        )
+        raise InputError(where, what, "Both cameras must be of the same kind.")
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:
@@ -308,3 +338,17 @@ def _remapped(image: Image, maps: _PixelMaps) -> Image:
     map_1, map_2 = maps
     remapped = cv2.remap(image, map_1, map_2, interpolation=cv2.INTER_LINEAR)
     return remapped.astype(np.uint8, copy=False)
+
+
+def _mask_of(maps: _PixelMaps, size_px: tuple[int, int]) -> Image | None:
+    """Return which rectified pixels lie inside the raw image, as 255 or 0; None if all do.
+
+    Those of the outermost rows and columns do not count where all others do: a zoom that leaves
+    only valid pixels leaves these at the border of the raw image, up to rounding.
+    """
+    white = np.full(size_px[::-1], 255, np.uint8)
+    remapped = _remapped(white, maps)
+    if np.all(remapped[1:-1, 1:-1] == 255):
+        return None
+    # Between black and white, a pixel lies partly inside.
+    return np.where(remapped == 255, 255, 0).astype(np.uint8)

@@ -208,17 +208,6 @@ def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     return basis
 
 
-def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return ∂u_r/∂a₆ of N features, x r² f_u/f_v in the right image, [N]; d decreases by as
-    much."""
-    # x in the right image, y in the left one, as in ``fill_row_basis``. The factor f_u/f_v is there
-    # because a₆ is in px of v.
-    x, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-    _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-    basis: FloatArray = camera.fu_px / camera.fv_px * x * (x * x + y * y)
-    return basis
-
-
 def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return (1, x, x²) at the left observations of N features, [N, 3]."""
     x, _ = camera.normalized(pixels[:, 0], pixels[:, 1])

@@ -89,7 +89,9 @@ class StereoCamera:
     def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Move the points at N observations [N, 4], px, each divided by its depth in a.
 
-        ``camera.transfer`` does the same, and predicts the observations, too.
+        The ray is that of the left image, and no disparity is negative: a point that noise puts
+        beyond infinity is at infinity. ``camera.transfer``, which predicts observations, takes the
+        mean of both rows instead, and negative disparities as they are.
 
         Returns:
             q = C m + ρ t, [3, N], with the ray m = (x, y, 1); q_z is the depth in b over that in a.

@@ -69,15 +69,3 @@ def transfer(pixels: FloatArray, T_b_a: FloatArray, camera: StereoCamera) -> Tra
         scaled_points=q,
         inverse_depth_a=inverse_depth_a,
     )
-
-
-def seen_from_left(pixels: FloatArray) -> FloatArray:
-    """Return observations, [N, 4], px, with the row of the left image and no negative disparity.
-
-    For users that compare with the left image alone: the row of the right image, which a
-    rectification may have off by a constant, then does not count, and a point that noise puts
-    beyond infinity is at infinity.
-    """
-    u_l, v_l, u_r, _ = pixels.T
-    seen: FloatArray = np.stack([u_l, v_l, np.minimum(u_l, u_r), v_l], axis=1)
-    return seen

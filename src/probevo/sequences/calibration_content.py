@@ -81,6 +81,8 @@ class CalibrationContent:
             InputError: there is no such key, or its value is none.
         """
         value = self.value(key)
+        if isinstance(value, str):  # YAML 1.1 takes 1e-5, without a point, for text
+            value = _number_of_text(value)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not abs(value) <= LARGEST_NUMBER:
             raise InputError(self.where(key), f"is {brief(value)}; expected a finite number.")
@@ -131,6 +133,14 @@ class CalibrationContent:
         """
         width, height = self.matrix(key, 1, 2)[0]
         return int(width), int(height)
+
+
+def _number_of_text(text: str) -> float | str:
+    """Return the number that a text holds; the text itself if it holds none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def load_calibration(path: Path) -> CalibrationContent:

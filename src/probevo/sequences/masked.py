@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from probevo.arrays import AnyArray, Image
+from probevo.arrays import AnyArray, BoolArray, Image
 from probevo.camera.rectification import Rectification
 from probevo.errors import InputError, brief
 from probevo.sequences.base import Sequence
@@ -92,8 +92,8 @@ class MaskedRecording(ImageRecording):
         for frame in self.original:
             yield replace(
                 frame,
-                left_mask=_of(self.left_masks, frame.index),
-                right_mask=_of(self.right_masks, frame.index),
+                left_mask=_both(frame.left_mask, _of(self.left_masks, frame.index)),
+                right_mask=_both(frame.right_mask, _of(self.right_masks, frame.index)),
             )
 
 
@@ -221,6 +221,16 @@ def _not_black(mask: Image, where: str | Path) -> Image:
 
 def _black_and_white(mask: Image) -> Image:
     return np.where(mask >= WHITE, 255, 0).astype(np.uint8)
+
+
+def _both(one: Image | BoolArray | None, other: Image | None) -> Image | BoolArray | None:
+    """Return the mask of where features are wanted by two; None is that of everywhere."""
+    if one is None:
+        return other
+    if other is None:
+        return one
+    by_one = one if one.dtype == np.bool_ else one >= WHITE
+    return np.where(by_one & (other >= WHITE), 255, 0).astype(np.uint8)
 
 
 def _of(masks: Masks | None, index: int) -> Image | None:

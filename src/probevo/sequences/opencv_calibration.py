@@ -6,10 +6,7 @@ The names are those of OpenCV's sample ``stereo_calib``, which writes ``intrinsi
 
 from __future__ import annotations
 
-import numpy as np
-
-from probevo.arrays import FloatArray
-from probevo.camera.rectification import DistortionModel, PinholeCamera
+from probevo.camera.rectification import DistortionModel, PinholeCamera, without_unused
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
@@ -134,16 +131,9 @@ def _pinhole(
         cu_px=float(K[0, 2]),
         cv_px=float(K[1, 2]),
         distortion_model=model,
-        distortion=tuple(_without_unused(distortion).tolist()),
+        distortion=tuple(without_unused(distortion).tolist()),
         size_px=size_px,
     )
-
-
-def _without_unused(distortion: FloatArray) -> FloatArray:
-    """Return the coefficients without thin-prism and tilt terms of zero, which OpenCV appends."""
-    if len(distortion) in (12, 14) and not np.any(distortion[8:]):
-        return distortion[:8]
-    return distortion
 
 
 def _first_key(content: CalibrationContent, keys: tuple[str, ...]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from probevo.arrays import IntArray
+from probevo.arrays import Image, IntArray
 from probevo.camera.rectification import Rectification
 from probevo.camera.stereo import StereoCamera
 from probevo.sequences.frame import Frame, GroundTruth, ImuSamples
@@ -50,6 +50,19 @@ class ImageRecording:
             f" {width_px}×{height_px} px, baseline {self.camera.baseline_m:.4g} m{also}>"
         )
 
+    @property
+    def left_mask(self) -> Image | None:
+        """Where the left images show something, [height, width]; None for everywhere.
+
+        A rectification may leave them black outside of the raw images.
+        """
+        return None if self.rectification is None else self.rectification.left_mask
+
+    @property
+    def right_mask(self) -> Image | None:
+        """The same of the right images."""
+        return None if self.rectification is None else self.rectification.right_mask
+
     def imu_before(self, index: int) -> ImuSamples | None:
         """Return the IMU samples from the previous frame to this one; None if there are none."""
         if self.imu_stream is None or index == 0:
@@ -88,4 +101,6 @@ class StereoRecording(ImageRecording):
             right=right,
             imu=imu,
             decode_ms=elapsed_ms,
+            left_mask=self.left_mask,
+            right_mask=self.right_mask,
         )

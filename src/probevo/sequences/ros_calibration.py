@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rectification import DistortionModel, PinholeCamera
+from probevo.camera.rectification import DistortionModel, PinholeCamera, without_unused
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
@@ -96,12 +96,13 @@ def _pinhole(camera: CalibrationContent) -> PinholeCamera:
         what = f"the model {name!r} is not supported."
         raise InputError(camera.where("distortion_model"), what, f"Known are {', '.join(MODELS)}.")
     K = camera.matrix("camera_matrix", 3, 3)
+    distortion = camera.numbers("distortion_coefficients")
     return PinholeCamera(
         fu_px=float(K[0, 0]),
         fv_px=float(K[1, 1]),
         cu_px=float(K[0, 2]),
         cv_px=float(K[1, 2]),
         distortion_model=MODELS[name],
-        distortion=tuple(camera.numbers("distortion_coefficients").tolist()),
+        distortion=tuple(without_unused(distortion).tolist()),
         size_px=(int(camera.number("image_width")), int(camera.number("image_height"))),
     )

@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rectification import DistortionModel, PinholeCamera, Rectification
+from probevo.camera.rectification import (
+    DistortionModel,
+    PinholeCamera,
+    Rectification,
+    without_unused,
+)
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 
@@ -52,13 +57,14 @@ class CameraInfo:
             what = f"the distortion model {self.model!r} is not supported."
             raise InputError(self.where, what, f"Supported are {known}.")
         model = MODELS[self.model]
+        distortion = without_unused(self.D) if len(self.D) else np.zeros(4)
         return PinholeCamera(
             fu_px=float(self.K[0, 0]),
             fv_px=float(self.K[1, 1]),
             cu_px=float(self.K[0, 2]),
             cv_px=float(self.K[1, 2]),
             distortion_model=model,
-            distortion=tuple(self.D.tolist()) if len(self.D) else (0.0,) * 4,
+            distortion=tuple(distortion.tolist()),
             size_px=self.size_px,
         )
 

@@ -122,6 +122,8 @@ class BagRecording(ImageRecording):
             right=right,
             imu=imu,
             decode_ms=elapsed_ms,
+            left_mask=self.left_mask,
+            right_mask=self.right_mask,
         )
 
     def _image(self, message: RawMessage, pair: _RawPair) -> Image:

@@ -51,6 +51,8 @@ class VideoRecording(ImageRecording):
                 left=left,
                 right=right,
                 decode_ms=1e3 * (perf_counter() - start),
+                left_mask=self.left_mask,
+                right_mask=self.right_mask,
             )
 
         try:

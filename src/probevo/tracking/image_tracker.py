@@ -17,15 +17,24 @@ from probevo.sequences.prepared_images import PreparedImages
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.contrast import with_contrast_of
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
-from probevo.tracking.lucas_kanade import track_points
+from probevo.tracking.lucas_kanade import TrackedPoints, track_points
 from probevo.tracking.preparation import prepare_images
 from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
-from probevo.tracking.uniqueness_numba import find_unique
+from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
 BORDER_PX = 5.0
 """Nearer to the border, too much of the window lies outside of the image."""
+LARGEST_DISPARITY = 0.25
+"""Largest disparity at which a new corner is searched, in widths of the image.
+
+With ordinary lenses, it is that of a depth of two to three baselines."""
+ALIKE_BEHIND = 6.0
+"""Difference up to which a match with negative disparity counts as one, in grey levels.
+
+The gate of the tracks may be wider, since their history tells the wrong ones. Of swapped images, a
+third to two thirds of these matches differ by less; of right ones, hardly any."""
 NO_FIT = "no longer looks as at first sight"
 """Why a feature is lost whose image no longer matches its anchor patch."""
 
@@ -151,15 +160,17 @@ class ImageTracker:
         # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
         # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
-        visible = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
-        rejected["left the view"] += len(prev) - len(visible)
+        # ``alive`` are the rows of the features that have passed all checks so far, in ``prev``,
+        # ``patches`` and ``motion``.
+        alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
+        rejected["left the view"] += len(prev) - len(alive)
         # Lucas–Kanade from the previous image, which looks most alike. Its errors add up along the
         # track; the alignment below removes them.
         tracked = track_points(
             with_contrast_of(prev.left, left),
             left,
-            prev.pixels[visible, :2],
-            start_px=motion.pixels[visible],
+            prev.pixels[alive, :2],
+            start_px=motion.pixels[alive],
             config=self._config,
         )
         inside = _inside(tracked.pixels, image)
@@ -168,15 +179,14 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
             rejected["masked"] += int((inside & ~unmasked).sum())
             inside &= unmasked
-        similar = _similar(tracked.difference, inside, self._config)
-        rejected["looks different"] += int((inside & ~similar).sum())
-        # From here on, all arrays are of the features that are similar.
-        prev = replace(prev, patches=None).subset(visible[similar])
-        patches = patches.subset(visible[similar])
-        motion = motion.subset(visible[similar])
+        alike = _look_alike(tracked.difference, inside, self._config)
+        rejected["looks different"] += int((inside & ~alike).sum())
+        alive = alive[alike]
         # Align with the anchor patch, the image of the feature when it was first seen, which
         # removes the drift. If that fails, the window no longer shows the same point of the scene.
-        aligned = patches.align_left(image, tracked.pixels[similar], motion)
+        aligned = patches.subset(alive).align_left(
+            image, tracked.pixels[alike], motion.subset(alive)
+        )
         fits = np.isfinite(aligned.difference)
         rejected[NO_FIT] += int((~fits).sum())
         # Of two features that have converged on one point, keep the older one, which comes first.
@@ -185,14 +195,15 @@ class ImageTracker:
         separate = non_overlapping(aligned.pixels[kept], image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
         kept = kept[separate]
-        prev = prev.subset(kept)
+        alive = alive[kept]
+        followed = replace(prev, patches=None).subset(alive)
         # d = f_u b/z grows as the depth shrinks. A negative one is noise: at infinity it is zero.
-        prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
+        prev_disparity_px = np.maximum(followed.pixels[:, 0] - followed.pixels[:, 2], 0.0)
         return _FoundInTime(
-            prev=prev,
+            prev=followed,
             left_px=aligned.pixels[kept],
             patches=aligned.patches.subset(kept),
-            disparity_px=motion.growth[kept] * prev_disparity_px,
+            disparity_px=motion.growth[alive] * prev_disparity_px,
             difference=aligned.difference[kept],
             cov_px2=aligned.cov_px2[kept],
         )
@@ -226,39 +237,44 @@ class ImageTracker:
         tracked = track_points(
             left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
         )
+        tracked = self._with_row_search(images, left_px, tracked, is_predicted)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
-        is_negative = tracked.pixels[:, 0] > left_px[:, 0]
+        is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
+        # Where the true place is out of reach, Lucas–Kanade ends anywhere. Only a window that looks
+        # alike there says that the point is seen farther to the right.
+        is_match_behind = is_negative & (tracked.difference <= ALIKE_BEHIND)
         rejected["rows differ"] += int((~same_row).sum())
-        rejected["negative disparity"] += int((same_row & ~has_disparity & is_negative).sum())
+        rejected["negative disparity"] += int(is_match_behind.sum())
+        rejected["no stereo match"] += int((is_negative & ~is_match_behind).sum())
         rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
         consistent = same_row & has_disparity
         if images.right_usable is not None:
             unmasked = _unmasked(tracked.pixels, images.right_usable)
             rejected["masked"] += int((consistent & ~unmasked).sum())
             consistent &= unmasked
-        similar = _similar(tracked.difference, consistent, self._config)
-        rejected["no stereo match"] += int((consistent & ~similar).sum())
+        alike = _look_alike(tracked.difference, consistent, self._config)
+        rejected["no stereo match"] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
-        aligned = patches.subset(similar).align_right(right[0], tracked.pixels[similar])
-        same_row, has_disparity = self._is_consistent(left_px[similar], aligned.pixels)
+        aligned = patches.subset(alike).align_right(right[0], tracked.pixels[alike])
+        same_row, has_disparity = self._is_consistent(left_px[alike], aligned.pixels)
         fits = np.isfinite(aligned.difference) & same_row & has_disparity
         rejected[NO_FIT] += int((~fits).sum())
         # A new feature must not repeat along its row: nothing but its neighbours tells which of
         # the places is the true one. An old one was found there before.
-        is_new = fits & ~is_predicted[similar]
+        is_new = fits & ~is_predicted[alike]
         unique = find_unique(
             left[0],
             right[0],
-            left_px[similar][is_new],
+            left_px[alike][is_new],
             aligned.pixels[is_new],
             window_px=self._config.window_px,
         )
         rejected["repeats along its row"] += int((~unique).sum())
         fits[is_new] = unique
-        # ``fits`` is over the similar points; scatter it over all N.
-        matched = similar.copy()
-        matched[similar] = fits
+        # ``fits`` is over the points that look alike; scatter it over all N.
+        matched = alike.copy()
+        matched[alike] = fits
         return _FoundInStereo(
             matched=matched,
             right_px=aligned.pixels[fits],
@@ -266,6 +282,65 @@ class ImageTracker:
             difference=aligned.difference[fits],
             cov_px2=aligned.cov_px2[fits],
         )
+
+    def _with_row_search(
+        self,
+        images: PreparedImages,
+        left_px: FloatArray,
+        tracked: TrackedPoints,
+        is_predicted: BoolArray,
+    ) -> TrackedPoints:
+        """Search those new corners along their rows that Lucas–Kanade has not found.
+
+        The disparity of a new corner is a guess, and Lucas–Kanade reaches a few tens of pixels.
+        Near points are beyond, and so are those of a high resolution or a wide baseline. The search
+        goes in both directions, so that swapped images are recognised.
+
+        Args:
+            images: the left and the right image.
+            left_px: N points in the left image, (u, v), [N, 2], px.
+            tracked: where Lucas–Kanade has ended in the right image.
+            is_predicted: which disparities follow from the previous frame, [N].
+
+        Returns:
+            All N points, those that the search has found at their new places.
+        """
+        looks_alike = tracked.difference <= _gate(self._config)
+        same_row, _ = self._is_consistent(left_px, tracked.pixels)
+        lost = np.flatnonzero(~is_predicted & ~(same_row & looks_alike))
+        # In images of half the size there are half as many places, windows cover more, and an error
+        # of the rows is half as large.
+        level = min(1, len(images.left) - 1)
+        scale = 0.5**level
+        width_px = images.left[level].shape[1]
+        disparity_px = find_along_row(
+            images.left[level],
+            images.right[level],
+            scale * left_px[lost],
+            reach_px=round(LARGEST_DISPARITY * width_px),
+            window_px=self._config.window_px,
+        )
+        is_unique = np.isfinite(disparity_px)
+        lost = lost[is_unique]
+        start_px = left_px[lost].copy()
+        start_px[:, 0] -= disparity_px[is_unique] / scale
+        # From there, Lucas–Kanade is left with a fraction of a pixel, and with the row offset.
+        again = track_points(
+            images.left,
+            images.right,
+            left_px[lost],
+            start_px=start_px,
+            config=self._config,
+            near=np.ones(len(lost), np.bool_),
+        )
+        same_row, _ = self._is_consistent(left_px[lost], again.pixels)
+        is_found = same_row & (again.difference <= _gate(self._config))
+        found = lost[is_found]
+        pixels = tracked.pixels.copy()
+        pixels[found] = again.pixels[is_found]
+        difference = tracked.difference.copy()
+        difference[found] = again.difference[is_found]
+        return TrackedPoints(pixels, difference)
 
     def _is_consistent(
         self, left_px: FloatArray, right_px: FloatArray
@@ -296,21 +371,34 @@ def _disparity_of_nearest(
     return found
 
 
-def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
-    """Return which of the candidates [N] look the same in both windows.
+def _look_alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
+    """Return which of the candidates [N] look alike in both windows.
 
     These differ little, or are among the least different quarter of the features wanted: where
     everything has changed, by a large step or blur, some must go on.
     """
-    # The quarter is of those wanted, not of those found, so that few survivors are not thinned.
-    ranked = np.sort(difference[candidates & np.isfinite(difference)])
-    quarter = min(config.num_features // 4, len(ranked))
-    limit = float(ranked[quarter - 1]) if len(ranked) else 0.0
-    gate = (
-        MAX_DIFFERENCE_OF["two-frame"] if config.max_difference is None else config.max_difference
-    )
-    similar: BoolArray = candidates & (difference <= max(gate, limit))
-    return similar & np.isfinite(difference)
+    candidates = candidates & np.isfinite(difference)
+    largest = max(_gate(config), _largest_of_quarter(difference[candidates], config))
+    alike: BoolArray = candidates & (difference <= largest)
+    return alike
+
+
+def _largest_of_quarter(difference: FloatArray, config: TrackingConfig) -> float:
+    """Return the largest of the least differences [N] that make a quarter of the features wanted.
+
+    The quarter is of those wanted, not of those found, so that few survivors are not thinned.
+    """
+    if len(difference) == 0:
+        return 0.0
+    quarter = min(config.num_features // 4, len(difference))
+    return float(np.sort(difference)[quarter - 1])
+
+
+def _gate(config: TrackingConfig) -> float:
+    """Return the largest difference of windows that show the same feature, grey levels."""
+    if config.max_difference is None:
+        return MAX_DIFFERENCE_OF["two-frame"]
+    return config.max_difference
 
 
 def _unmasked(pixels: FloatArray, usable: BoolArray) -> BoolArray:

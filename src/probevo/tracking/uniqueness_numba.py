@@ -1,4 +1,4 @@
-"""How unique a stereo match is along its row: a test against repeated texture.
+"""How unique a stereo match is along its row: a test against repeated texture, and a search.
 
 A fence, a facade or a hedge looks alike at several disparities. Lucas–Kanade takes the one next to
 where it starts, and neighbours that start alike agree on a wrong one. Such a match is recognised by
@@ -53,19 +53,67 @@ def find_unique(
         last = min(u_right + REACH_PX, width - 1 - half)
         if not rows_inside or u < half or u + half >= width or first > u_right or last < u_right:
             continue
-        # Sum of squared differences of the left window and each window of the row, all windows at a
-        # time: squared[k] is that of the window centred at the column first + k.
         count = last - first + 1
-        squared[:count] = 0
-        for i in range(-half, half + 1):
-            for j in range(-half, half + 1):
-                grey = np.int32(left[v + i, u + j])
-                row = right[v_right + i, first + j : last + j + 1]
-                for k in range(count):
-                    difference = grey - np.int32(row[k])
-                    squared[k] += difference * difference
+        window = left[v - half : v + half + 1, u - half : u + half + 1]
+        rows = right[v_right - half : v_right + half + 1, first - half : last + half + 1]
+        _compare_along(window, rows, squared[:count])
         unique[n] = _is_best(squared[:count], u_right - first, half)
     return unique
+
+
+@compiled
+def find_along_row(
+    left: Image, right: Image, left_px: FloatArray, reach_px: int, window_px: int
+) -> FloatArray:
+    """Return the disparity at which each of N points fits clearly better than at any other in its
+    row, [N], px; NaN where there is none.
+
+    Args:
+        left: left image, [height, width], uint8.
+        right: right image, [height, width], uint8.
+        left_px: (u, v) in the left image, [N, 2], px.
+        reach_px: largest disparity of either sign, which is searched.
+        window_px: side of the window that is compared; odd.
+    """
+    height, width = left.shape
+    half = window_px // 2
+    squared = np.empty(2 * reach_px + 1, np.int32)
+    disparity_px = np.full(len(left_px), np.nan)
+    for n in range(len(left_px)):
+        u = round(left_px[n, 0])
+        v = round(left_px[n, 1])
+        if u < half or u + half >= width or v < half or v + half >= height:
+            continue
+        first = max(u - reach_px, half)
+        last = min(u + reach_px, width - 1 - half)
+        count = last - first + 1
+        window = left[v - half : v + half + 1, u - half : u + half + 1]
+        rows = right[v - half : v + half + 1, first - half : last + half + 1]
+        _compare_along(window, rows, squared[:count])
+        best = int(np.argmin(squared[:count]))
+        if _is_best(squared[:count], best, half):
+            disparity_px[n] = u - (first + best)
+    return disparity_px
+
+
+@compiled
+def _compare_along(window: Image, rows: Image, squared: AnyArray) -> None:
+    """Compare a window with each of the same size in a strip of rows.
+
+    Args:
+        window: [side, side], uint8.
+        rows: [side, count + side - 1], uint8.
+        squared: becomes the sum of squared differences at each of the places, [count].
+    """
+    squared[:] = 0
+    # All places at a time.
+    for i in range(window.shape[0]):
+        for j in range(window.shape[1]):
+            grey = np.int32(window[i, j])
+            row = rows[i, j : j + len(squared)]
+            for k in range(len(squared)):
+                difference = grey - np.int32(row[k])
+                squared[k] += difference * difference
 
 
 @compiled
@@ -86,5 +134,6 @@ def _is_best(squared: AnyArray, match: int, half: int) -> bool:
             best = min(best, squared[k])
         elif distance > half:
             second = min(second, squared[k])
-    # The ratio is one of differences, which are squared here.
-    return best <= LARGEST_RATIO**2 * second
+    # The ratio is one of differences, which are squared here. Where both are zero, the texture
+    # repeats exactly; without a second place, its difference is infinite.
+    return best < LARGEST_RATIO**2 * second
