@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
 from probevo.estimation.inertial import (
     Inertial,
@@ -33,6 +33,7 @@ from probevo.estimation.inertial_states import (
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_marginalization import without_blind
 from probevo.estimation.window_numba import POSE, RIG
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
@@ -40,7 +41,7 @@ from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
-from worlds import CAMERA, blind_frame, tracks_between
+from worlds import CAMERA, FRAME_NS, blind_frame, tracks_between
 
 SIGMA_PX = 0.3
 
@@ -427,6 +428,72 @@ def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
     assert by.window is not None
     assert by.window.inertial is not None
     assert by.window.inertial.refused
+
+
+def at_the_rate_of_the_frames(frame: Frame) -> Frame:
+    """Keep the sample nearest to each end of the interval, as of an inertial navigation system."""
+    if frame.imu is None:
+        return frame
+    stamps_ns = frame.imu.stamps_ns
+    ends_ns = np.array([frame.stamp_ns - FRAME_NS, frame.stamp_ns])
+    return with_samples_at(frame, np.abs(stamps_ns[:, None] - ends_ns).argmin(axis=0))
+
+
+def with_samples_at(frame: Frame, kept: IntArray | BoolArray) -> Frame:
+    """Keep some of a frame's samples."""
+    if frame.imu is None:
+        return frame
+    imu = ImuSamples(
+        frame.imu.stamps_ns[kept], frame.imu.gyro_rad_s[kept], frame.imu.accel_m_s2[kept]
+    )
+    return replace(frame, imu=imu)
+
+
+def gyro_from_the_second_interval_on(frame: Frame) -> Frame:
+    """Keep only the gyro, and nothing before the second frame."""
+    if frame.imu is None or frame.index == 1:
+        return replace(frame, imu=None)
+    no_force = np.full_like(frame.imu.accel_m_s2, np.nan)
+    return replace(frame, imu=replace(frame.imu, accel_m_s2=no_force))
+
+
+@pytest.mark.parametrize("change", [at_the_rate_of_the_frames, gyro_from_the_second_interval_on])
+def test_behind_samples_that_are_never_preintegrated_landmarks_are_found_again(
+    change: Callable[[Frame], Frame],
+) -> None:
+    """No state ever depends on them: a blackout ends as without an IMU, and in it the position is
+    as uncertain."""
+    frames, _ = drive_of(45, 14)
+    dark = range(6, 9)
+    by = odometry()
+    without = odometry(calibration=None)
+    for frame in frames:
+        shown = replace(blind_frame(frame.index), imu=frame.imu) if frame.index in dark else frame
+        estimate = by.step(change(shown))
+        expected = without.step(replace(shown, imu=None))
+        if frame.index == dark.stop:
+            assert estimate.status is Status.RECOVERED
+            assert expected.status is Status.RECOVERED
+        sigma_m = np.sqrt(estimate.pose_cov[:3, :3].trace())
+        assert sigma_m == pytest.approx(np.sqrt(expected.pose_cov[:3, :3].trace()), rel=0.1)
+    np.testing.assert_allclose(estimate.T_world_cam, expected.T_world_cam, atol=2e-3)
+    assert by.window is not None
+    assert by.window.inertial is not None
+
+
+def test_factors_between_frames_that_stay_remain_when_blind_ones_leave() -> None:
+    frames, _ = drive_of(46, 8)
+    by = odometry()
+    for frame in frames:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    factors = factors_of(window)
+    known = replace(window.prior, information=np.eye(len(window.prior.vector)))
+    leaving = np.arange(len(window)) == 3
+    kept = without_blind(replace(window, prior=known), leaving)
+    assert kept.inertial is not None
+    assert kept.inertial.factors == (*factors[:2], None, *factors[4:])
 
 
 def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:

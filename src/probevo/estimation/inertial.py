@@ -105,6 +105,11 @@ class Inertial:
         return self.states is not None
 
     @property
+    def has_factors(self) -> bool:
+        """Whether its samples cover an interval between frames of the window."""
+        return any(factor is not None for factor in self.factors)
+
+    @property
     def excess(self) -> float:
         """By how much the covariances of the last innovations, with ``noise_factor``, are still too
         small in the median; 1 if they are right."""
@@ -167,7 +172,7 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         return window
     # Start anew where no factor of the window is left, as after a long time without samples.
     inertial = window.inertial
-    if inertial.is_used and not any(inertial.factors):
+    if inertial.is_used and not inertial.has_factors:
         # For as long as the window lasts: what is left of the states would only be in the way.
         window = without_inertial(window, inertial.note, refused=False)
         inertial = inertial.without_states(inertial.note, refused=False)
@@ -211,8 +216,15 @@ def trusts_gyro(window: Window | None) -> bool:
 
 def may_bridge(window: Window) -> bool:
     """Return whether a window has an IMU that may know the way through frames without features, or
-    may yet come to know it."""
-    return window.inertial is not None and not window.inertial.refused
+    may yet come to know it.
+
+    One whose samples have covered no interval of the window may not: too few of them, or none of
+    an accelerometer.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.refused:
+        return False
+    return inertial.is_used or inertial.pending is not None or inertial.has_factors
 
 
 def uses_imu(window: Window | None) -> bool:
@@ -311,7 +323,7 @@ def reason_left_out(window: Window | None) -> str:
     if window is None or window.inertial is None:
         return ""
     inertial = window.inertial
-    has_measured = inertial.is_used or inertial.refused or any(inertial.factors)
+    has_measured = inertial.is_used or inertial.refused or inertial.has_factors
     if not has_measured and len(inertial.factors) > 1:
         return ""
     return inertial.note
