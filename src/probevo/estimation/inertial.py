@@ -110,6 +110,12 @@ class Inertial:
         return any(factor is not None for factor in self.factors)
 
     @property
+    def first_covered(self) -> int:
+        """Place of the first frame from which on its samples cover all intervals, 0 … K − 1."""
+        missing = [at for at, factor in enumerate(self.factors) if factor is None]
+        return missing[-1] + 1 if missing else 0
+
+    @property
     def excess(self) -> float:
         """By how much the covariances of the last innovations, with ``noise_factor``, are still too
         small in the median; 1 if they are right."""
@@ -434,12 +440,15 @@ def started(window: Window) -> Window:
     inertial = window.inertial
     if inertial is None or inertial.is_used or inertial.refused:
         return window
-    factors = [factor for factor in inertial.factors if factor is not None]
-    if len(window) < FRAMES_AT_START or len(factors) < len(inertial.factors):
+    # The factors up to the last frame; where one is missing, as after lost samples, those before
+    # it do not count.
+    first = inertial.first_covered
+    if len(window) - first < FRAMES_AT_START:
         return window
+    factors = [factor for factor in inertial.factors[first:] if factor is not None]
     # The test against the images.
     try:
-        fit = fit_inertial_states(window, factors, inertial.calibration)
+        fit = fit_inertial_states(window, factors, inertial.calibration, first=first)
     except np.linalg.LinAlgError:
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
         return replace(window, inertial=replace(inertial, note=UNTESTABLE))

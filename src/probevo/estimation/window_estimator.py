@@ -280,7 +280,7 @@ class WindowEstimator:
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
         started = inertial.started(window)
-        if not inertial.bridges_newest(started) or inertial.bridges_newest(window):
+        if not inertial.uses_imu(started) or inertial.uses_imu(window):
             return started
         try:
             return self.adjusted(started).window
