@@ -46,11 +46,13 @@ from worlds import CAMERA, FRAME_NS, blind_frame, tracks_between
 SIGMA_PX = 0.3
 
 
-def odometry(calibration: ImuCalibration | None = CALIBRATION) -> StereoOdometry:
+def odometry(
+    calibration: ImuCalibration | None = CALIBRATION, *, frames: int = 8
+) -> StereoOdometry:
     config = {
         "estimator": "window",
         "self_calibration": False,
-        "window": {"correlation": 0.0, "frames": 8},
+        "window": {"correlation": 0.0, "frames": frames},
     }
     noise = StudentT(dof=np.inf, scale=SIGMA_PX**2 * np.eye(4))
     return StereoOdometry(CAMERA, noise, calibration, config)
@@ -367,6 +369,33 @@ def test_an_imu_at_rest_starts() -> None:
     assert np.linalg.norm(last.T_world_cam[:3, 3]) < 0.01
 
 
+@pytest.mark.parametrize("frames", [3, 4])
+def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
+    """It is used from then on, and the last poses of ten drives are consistent."""
+    squared = []
+    for seed in range(60, 70):
+        seen, truth = drive_of(seed, 20)
+        by = odometry(frames=frames)
+        for frame in seen:
+            estimate = by.step(frame)
+            assert uses_imu(by.window) == (frame.index >= frames)
+        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
+        squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
+    assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
+
+
+def test_a_window_that_is_too_short_for_the_test_says_so() -> None:
+    """Of two frames: the IMU is left out, and after a blackout landmarks are found again."""
+    frames, _ = drive_of(47, 12)
+    for k in (8, 9):
+        frames[k] = replace(blind_frame(k), imu=frames[k].imu)
+    by = odometry(frames=2)
+    estimates = [by.step(frame) for frame in frames]
+    assert "fewer than 3 window.frames" in estimates[-1].imu_left_out
+    assert estimates[10].status is Status.RECOVERED
+    assert reason_not_used(by.window) == estimates[-1].imu_left_out
+
+
 def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
     """A hole of 30 ms in each seventh interval, which is not preintegrated: the last intervals are
     tested by themselves. The last poses of ten drives are consistent."""
@@ -401,18 +430,19 @@ def late(samples: ImuSamples) -> ImuSamples:
     return replace(samples, stamps_ns=samples.stamps_ns - 50_000_000)
 
 
+@pytest.mark.parametrize("window_frames", [3, 4, 8])
 @pytest.mark.parametrize("change", [in_degrees, in_g])
-def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
+def test_an_imu_that_contradicts_the_images_is_not_used(change: Change, window_frames: int) -> None:
     """The path is then that of the images alone, to the byte, and the estimates say why."""
     frames, _ = drive_of(40, 16)
     wrong = [
         frame if frame.imu is None else replace(frame, imu=change(frame.imu)) for frame in frames
     ]
-    by = odometry()
-    estimates = [by.step(frame) for frame in wrong]
-    assert by.window is not None
-    assert by.window.inertial is not None
-    assert not by.window.inertial.is_used
+    by = odometry(frames=window_frames)
+    estimates = []
+    for frame in wrong:
+        estimates.append(by.step(frame))
+        assert not uses_imu(by.window)
     assert "check the" in estimates[-1].imu_left_out
 
 

@@ -49,7 +49,11 @@ from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
 
 FRAMES_AT_START = 6
-"""Least number of frames of which the states are estimated at first."""
+"""Number of frames of which the states are estimated at first; all frames of a shorter window."""
+FEWEST_AT_START = 4
+"""Least number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and ways, and the
+prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9 degrees of freedom. Three
+frames fit any forces, and would test nothing but the length of gravity."""
 LARGEST_EXCESS = 4.0
 """Largest χ² over its degrees of freedom, at the start and later: what factors and images together
 may be noisier than they say."""
@@ -68,6 +72,8 @@ MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
 NO_SOLUTION = "is left out from here on: with it, the window has no solution"
 """Why an IMU is left out where the normal equations with its states are singular."""
+SHORT_WINDOW = "is left out: with fewer than 3 window.frames, it cannot be tested"
+"""Why an IMU is left out of a window that never has ``FEWEST_AT_START`` frames."""
 UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be accurate"
 """Why an IMU is not used where its factors are lost in rounding."""
 
@@ -431,11 +437,25 @@ def bridges_newest(window: Window) -> bool:
     return inertial is not None and inertial.is_used and inertial.factors[-1] is not None
 
 
-def started(window: Window) -> Window:
+def testable(window: Window, most_frames: int) -> Window:
+    """Return the window without its IMU, for good, if it is too short to test it.
+
+    Args:
+        window: K frames.
+        most_frames: of the window at any time, the new one included.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.refused or most_frames >= FEWEST_AT_START:
+        return window
+    return without_inertial(window, SHORT_WINDOW)
+
+
+def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     """Return the window with inertial states, if the IMU agrees with its poses.
 
     Args:
         window: K frames, adjusted without any inertial states.
+        most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
     if inertial is None or inertial.is_used or inertial.refused:
@@ -443,7 +463,7 @@ def started(window: Window) -> Window:
     # The factors up to the last frame; where one is missing, as after lost samples, those before
     # it do not count.
     first = inertial.first_covered
-    if len(window) - first < FRAMES_AT_START:
+    if len(window) - first < min(FRAMES_AT_START, most_frames):
         return window
     factors = [factor for factor in inertial.factors[first:] if factor is not None]
     # The test against the images.

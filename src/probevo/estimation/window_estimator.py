@@ -279,13 +279,18 @@ class WindowEstimator:
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
-        started = inertial.started(window)
+        started = inertial.started(window, self._most_frames)
         if not inertial.uses_imu(started) or inertial.uses_imu(window):
             return started
         try:
             return self.adjusted(started).window
         except np.linalg.LinAlgError:
             return inertial.without_inertial(window, inertial.NO_SOLUTION)
+
+    @property
+    def _most_frames(self) -> int:
+        """Most frames of a window before the oldest leaves it, blind ones not counted."""
+        return self._config.frames + 1
 
     def _fixes_newest(self, window: Window, prev: int) -> bool:
         """Return whether the motion from a frame to the newest is known as well as one of two
@@ -311,7 +316,7 @@ class WindowEstimator:
         what was seen before may then be found again. With an IMU that may bridge them, they are
         frames like others.
         """
-        window = replace(window, marginalized=())
+        window = inertial.testable(replace(window, marginalized=()), self._most_frames)
         limit = self._config.frames
         if not inertial.may_bridge(window):
             leaving = window.is_blind.copy()
