@@ -369,6 +369,28 @@ def test_an_imu_at_rest_starts() -> None:
     assert np.linalg.norm(last.T_world_cam[:3, 3]) < 0.01
 
 
+def test_biases_that_do_not_walk_are_as_those_that_hardly_walk() -> None:
+    """σ of the biases after 80 frames, and the last pose in units of its σ, agree to a thousandth
+    with walks of 1e-7 rad/s²/√Hz and 1e-6 m/s³/√Hz."""
+    frames, truth = drive_of(48, 80)
+    found = []
+    for gyro_walk, accel_walk in ((0.0, 0.0), (1e-7, 1e-6)):
+        calibration = replace(
+            CALIBRATION,
+            gyro_bias_walk_rad_s2_sqrt_hz=gyro_walk,
+            accel_bias_walk_m_s3_sqrt_hz=accel_walk,
+        )
+        by = StereoOdometry(CAMERA, imu=calibration)
+        for frame in frames:
+            estimate = by.step(frame)
+        assert by.window is not None
+        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
+        squared = error @ np.linalg.solve(estimate.pose_cov, error)
+        sigmas = np.sqrt(np.diag(states_of(by.window).cov)[-6:])
+        found.append(np.append(sigmas, squared))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
+
+
 @pytest.mark.parametrize("frames", [3, 4])
 def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
     """It is used from then on, and the last poses of ten drives are consistent."""
