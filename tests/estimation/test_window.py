@@ -623,6 +623,25 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("variance_px2", [0.0, np.nan])
+def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
+    variance_px2: float,
+) -> None:
+    """Of one feature, along one axis of the image."""
+    frames = drive(np.random.default_rng(67), 3, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = windows_of(frames[:2], by)[-1]
+    tracks = tracks_between(frames[1], frames[2])
+    noise = noise_of(len(tracks))
+    scale = noise.scale.copy()
+    scale[5, 3, 3] = variance_px2
+    two_frames = step_to(2, FORWARD)
+    window = by.with_features(window, 2, tracks, replace(noise, scale=scale), two_frames=two_frames)
+    T, cov = window.relative(2, 1)
+    np.testing.assert_allclose(T, FORWARD, atol=1e-9)
+    np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
+
+
 def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> None:
     """Scale matrices that change a hundredfold from frame to frame, and are not proportional."""
     rng = np.random.default_rng(65)

@@ -228,13 +228,15 @@ class WindowEstimator:
         if jitter_cov is not None:
             window = replace(window, jitter_cov=jitter_cov)
         prev = window.slot(two_frames.variables[0].frame)
-        extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev)
         try:
+            extended = self.with_frame(
+                window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
+            )
             adjusted = self.adjusted(with_measurements(extended, measurements)).window
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
-            pass  # what no feature fixes makes the normal equations singular
+            pass  # what no feature fixes makes the normal equations singular; so may be a scale
         return self.without_features(window, frame, two_frames, measurements)
 
     def without_features(
