@@ -623,6 +623,28 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
 
 
+def test_what_two_frames_have_measured_counts_once_where_they_stand_for_the_features() -> None:
+    """A sensor of the motion is in that of two frames already; one of the pose is not."""
+    frames = drive(np.random.default_rng(64), 4, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    before = windows_of(frames[:3], by)[-1]
+    tracks = tracks_between(frames[2], frames[3])
+    singular = replace(noise_of(len(tracks)), scale=np.zeros((len(tracks), 4, 4)))
+    two_frames = step_to(3, FORWARD)
+    of_motion = RelativePose(FORWARD, 1e-4 * np.eye(6), pose_of(3), pose_of(2))
+    window = by.with_features(
+        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion]
+    )
+    _, cov = window.relative(3, 2)
+    np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
+    there = FORWARD @ before.T_cam_world[-1]
+    of_pose = PosePrior(pose_of(3), there, 1e-4 * np.eye(6))
+    window = by.with_features(
+        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion, of_pose]
+    )
+    assert (np.diag(window.pose(-1).cov) < 1.1e-4).all()
+
+
 @pytest.mark.parametrize("variance_px2", [0.0, np.nan])
 def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
     variance_px2: float,

@@ -223,7 +223,8 @@ class WindowEstimator:
             two_frames: the motion between these two frames by itself, with its covariance. It
                 counts beside the features only if it is one of the measurements, too.
             jitter_cov: covariance S of the rig's jitter, [3, 3], rad²; as before, if there is none.
-            measurements: further measurements of the poses of the window.
+            measurements: further measurements of the poses of the window. Those of this motion have
+                entered the solve of two frames.
         """
         if jitter_cov is not None:
             window = replace(window, jitter_cov=jitter_cov)
@@ -237,7 +238,14 @@ class WindowEstimator:
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
             pass  # what no feature fixes makes the normal equations singular; so may be a scale
-        return self.without_features(window, frame, two_frames, measurements)
+        # The solve of two frames has had the measurements of its motion.
+        of_motion = [
+            one
+            for one in measurements
+            if one is not two_frames and set(one.variables) == set(two_frames.variables)
+        ]
+        others = [one for one in measurements if all(one is not other for other in of_motion)]
+        return self.without_features(window, frame, two_frames, others, in_motion=of_motion)
 
     def without_features(
         self,
@@ -245,6 +253,8 @@ class WindowEstimator:
         frame: int,
         motion: RelativePose,
         measurements: Sequence[Measurement] = (),
+        *,
+        in_motion: Sequence[Measurement] = (),
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
@@ -255,7 +265,10 @@ class WindowEstimator:
             frame: index of the new one.
             motion: measured between one of them and the new one, as by dead reckoning.
             measurements: further measurements of the poses of the window; it may be one of them.
+            in_motion: measurements that the motion is estimated from, so that they count only where
+                it does not.
         """
+        given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         window = inertial.where_better_than(window, motion)
         guess = inertial.predicted_motion(window)
@@ -264,9 +277,11 @@ class WindowEstimator:
         prev = window.slot(motion.variables[0].frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         # A corrected motion is one of the measurements already, and must not count twice.
-        is_among_them = any(one is motion for one in measurements)
-        if not is_among_them and not inertial.bridges_newest(extended):
-            measurements = [*measurements, _bounded(motion)]
+        if all(one is not motion for one in measurements):
+            if inertial.bridges_newest(extended):
+                measurements = [*measurements, *in_motion]
+            else:
+                measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
             adjusted = self.adjusted(measured).window
@@ -277,7 +292,7 @@ class WindowEstimator:
                 raise
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial.without_inertial(window, inertial.NO_SOLUTION)
-        return self.without_features(left_out, frame, motion, measurements)
+        return self.without_features(left_out, frame, motion, given, in_motion=in_motion)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
