@@ -252,7 +252,7 @@ def adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
         vector=prior.vector + held @ window.offsets(),
     )
     for _ in range(2):
-        window = by.adjusted(replace(window, prior=with_gauge)).window
+        window = by.adjusted(replace(window, prior=with_gauge))
     return replace(window, prior=prior)
 
 

@@ -228,7 +228,7 @@ def test_a_window_as_long_as_the_drive_is_batch_adjustment(
     by = estimator(frames=8, correlation=correlation)
     window = windows_of(frames, by, tau_px=tau_px)[-1]
     for _ in range(6):  # on line, it stops at a fraction of a standard deviation
-        window = by.adjusted(window).window
+        window = by.adjusted(window)
     solved, cov = batch(window, correlation)
     difference = se3.log(solved.T_cam_world @ se3.inverse(window.T_cam_world))
     assert np.abs(difference).max() < 1e-6
@@ -377,7 +377,7 @@ def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
     with_gauge = replace(
         prior, information=prior.information + held, vector=prior.vector + held @ x
     )
-    adjusted = by.adjusted(replace(window, prior=with_gauge)).window
+    adjusted = by.adjusted(replace(window, prior=with_gauge))
     return replace(adjusted, prior=prior)
 
 
@@ -604,7 +604,7 @@ def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
     window = windows_of(frames, by)[-1]
     moved = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])) @ window.T_cam_world[-1]
     at_end = PosePrior(pose_of(3), moved, 1e-12 * np.eye(6))
-    adjusted = by.adjusted(with_measurements(window, [at_end])).window
+    adjusted = by.adjusted(with_measurements(window, [at_end]))
     error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
     assert np.abs(error).max() < 1e-3
     assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()
@@ -679,7 +679,7 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
         noise = replace(noise_of(len(tracks)), scale=scale)
         window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
         assert np.linalg.eigvalsh(by._system(window).equations.hessian)[0] > 0.0
-        window = by.adjusted(window).window
+        window = by.adjusted(window)
 
 
 def with_standing_factors(window: Window, by: WindowEstimator) -> FloatArray:
@@ -839,7 +839,7 @@ def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
     windows = windows_of(frames[:9], by)
     lost = 1e-9 * windows[-1].prior.information
     prior = MarginalPrior(lost, np.zeros(len(lost)))
-    windows = [by.adjusted(replace(windows[-1], prior=prior)).window]
+    windows = [by.adjusted(replace(windows[-1], prior=prior))]
     for prev, curr in pairwise(frames[8:]):
         tracks = tracks_between(prev, curr)
         two_frames = step_to(curr.index, FORWARD)
@@ -894,7 +894,7 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     np.testing.assert_allclose(equations.gradient[kept], wanted.gradient, rtol=1e-6, atol=1e-6)
     assert np.abs(equations.hessian[4 * POSE : 5 * POSE]).max() == 0.0
     # Marginalised, it takes along what measured nothing but itself.
-    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)])).window
+    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)]))
     without = without_blind(measured, found.is_blind)
     attached = np.arange(3 * POSE, 4 * POSE)  # to frame 3, of which no other prior speaks
     assert np.abs(measured.prior.information[np.ix_(attached, attached)]).max() > 10.0

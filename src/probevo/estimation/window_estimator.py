@@ -96,16 +96,6 @@ LEAST_VARIANCE_PX2 = 1e-12
 
 
 @dataclass(frozen=True)
-class Adjustment:
-    """An adjusted window, and how well its observations fit."""
-
-    window: Window
-    squared: FloatArray
-    """Squared Mahalanobis distance of each observation, [M]."""
-    iterations: int
-
-
-@dataclass(frozen=True)
 class _System:
     """The normal equations of a window at its current values."""
 
@@ -233,7 +223,7 @@ class WindowEstimator:
             extended = self.with_frame(
                 window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
             )
-            adjusted = self.adjusted(with_measurements(extended, measurements)).window
+            adjusted = self.adjusted(with_measurements(extended, measurements))
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
@@ -284,7 +274,7 @@ class WindowEstimator:
                 measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
-            adjusted = self.adjusted(measured).window
+            adjusted = self.adjusted(measured)
             if np.isfinite(adjusted.cov).all() or not inertial.uses_imu(window):
                 return self._shortened(adjusted)
         except np.linalg.LinAlgError:
@@ -300,7 +290,7 @@ class WindowEstimator:
         if not inertial.uses_imu(started) or inertial.uses_imu(window):
             return started
         try:
-            return self.adjusted(started).window
+            return self.adjusted(started)
         except np.linalg.LinAlgError:
             return inertial.without_inertial(window, inertial.NO_SOLUTION)
 
@@ -434,7 +424,7 @@ class WindowEstimator:
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
         )
 
-    def adjusted(self, window: Window) -> Adjustment:
+    def adjusted(self, window: Window) -> Window:
         """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
 
         The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
@@ -450,9 +440,7 @@ class WindowEstimator:
         moved = window
         damping = 0.0
         before = 0.0  # the decrease by the step before
-        iterations = 0
-        while iterations < self._config.max_iterations:
-            iterations += 1
+        for _ in range(self._config.max_iterations):
             # gradient · step is about twice the decrease that the quadratic model predicts.
             step = self._step(system, damping)
             moved = self._moved(system, step)
@@ -474,11 +462,7 @@ class WindowEstimator:
         # The covariance is that of the last equations formed, at most that small step before.
         cov = self._covariance(system.equations.hessian)
         of_imu = inertial.covariance_known(moved, system.inertial, cov)
-        return Adjustment(
-            window=replace(moved, cov=cov, inertial=of_imu),
-            squared=system.elimination.squared,
-            iterations=iterations,
-        )
+        return replace(moved, cov=cov, inertial=of_imu)
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
@@ -598,7 +582,6 @@ class WindowEstimator:
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
             inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
             gradient=np.empty((num_landmarks, LANDMARK)),
-            squared=np.empty(num_observations),
         )
         # The features first: landmarks are eliminated while their equations are summed.
         cost = accumulate(
