@@ -623,6 +623,31 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
 
 
+def test_a_bias_adds_up_along_a_track() -> None:
+    """If each step adds the same mean error to a track, and the noise model knows it, the window is
+    that of tracks without it, also of landmarks that began anew."""
+    bias_px = np.array([0.2, 0.1, 0.0, 0.1])
+    frames = drive(np.random.default_rng(68), 9, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=5)
+    expected = windows_of(frames, by)[-1]
+    first: dict[int, int] = {}
+    found = Window.at_first_frame(0)
+    for prev, curr in pairwise(frames):
+        tracks = tracks_between(prev, curr)
+        began = [first.setdefault(int(track), prev.index) for track in tracks.ids]
+        steps = curr.index - np.array(began)[:, None]
+        drifting = replace(
+            tracks,
+            prev_px=tracks.prev_px + (steps - 1) * bias_px,
+            curr_px=tracks.curr_px + steps * bias_px,
+        )
+        noise = replace(noise_of(len(tracks)), bias=np.tile(bias_px, (len(tracks), 1)))
+        two_frames = step_to(curr.index, FORWARD)
+        found = by.with_features(found, curr.index, drifting, noise, two_frames=two_frames)
+    np.testing.assert_allclose(found.T_cam_world, expected.T_cam_world, atol=1e-9)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-6, atol=1e-12)
+
+
 def test_what_two_frames_have_measured_counts_once_where_they_stand_for_the_features() -> None:
     """A sensor of the motion is in that of two frames already; one of the pose is not."""
     frames = drive(np.random.default_rng(64), 4, points=80, sigma_px=SIGMA_PX)

@@ -378,13 +378,17 @@ class WindowEstimator:
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
         scale = np.concatenate([prev_scale[is_new], noise.scale])
+        # A bias is the mean of a step's residual: an observation has those of all steps since the
+        # first of its track in its error.
+        bias = np.concatenate([window.landmarks.bias, np.zeros_like(first_px)])
+        bias[rows] += noise.bias
         root = np.zeros_like(scale)
         if not fill_roots(scale, root):
             raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
         new = WindowObservations(
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
-            pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
+            pixels=np.concatenate([first_px, tracks.curr_px - bias[rows]]),
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
@@ -404,6 +408,7 @@ class WindowEstimator:
                 ]
             ),
             standing=np.concatenate([window.landmarks.standing, np.ones(len(first_px))]),
+            bias=bias,
         )
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
         # so that the pose may still be linearised anew (``_moved``).
@@ -714,4 +719,5 @@ def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLa
         state=landmarks.state[keep],
         error_information=landmarks.error_information[keep],
         standing=landmarks.standing[keep],
+        bias=landmarks.bias[keep],
     )

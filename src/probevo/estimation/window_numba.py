@@ -160,6 +160,9 @@ class WindowLandmarks(NamedTuple):
     standing: FloatArray
     """Factor of how far each is trusted, [L]: 1, and less for one that seems to move by itself
     (``standing_factors``)."""
+    bias: FloatArray
+    """Mean error of the last observation of each, [L, 4], px, which was taken off: the noise
+    model's mean of each step's residual, summed up along the track."""
 
 
 class WindowEquations(NamedTuple):
