@@ -246,7 +246,9 @@ class _Trust(NamedTuple):
     """IRLS weight: the factor of each pull."""
     curvature: float
     """Factor of its information. Its mean is that of the Fisher information, so that Gauss–Newton
-    with it is Fisher scoring, and the inverse of what adds up is a covariance."""
+    with it is Fisher scoring, and the inverse of what adds up is a covariance. So it is if the loss
+    is that of the noise. Huber, Cauchy and Tukey weigh ordinary errors by less than 1, too, and
+    the covariance is then larger than the scatter of the estimates."""
 
 
 class _Workspace(NamedTuple):
@@ -688,7 +690,7 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     return _Trust(
         cost=standing * scale * robust_cost(loss, parameter, total / scale),
         weight=standing * weight,
-        curvature=standing * robust_curvature(loss, parameter, total / scale),
+        curvature=standing * robust_curvature(loss, parameter, total / scale, dimension=free),
     )
 
 
