@@ -253,7 +253,8 @@ def gated(window: Window, seen: RelativePose) -> Window:
 
     Args:
         window: K frames, with what the IMU measured since.
-        seen: the motion to the frame that comes, from two images by themselves.
+        seen: the motion to the frame that comes, from two frames by themselves: their images, and
+            sensors of the motion; corrected if there is a correction.
     """
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
