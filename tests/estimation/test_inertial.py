@@ -11,7 +11,9 @@ from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
 from probevo.estimation.inertial import (
+    ImuStatus,
     Inertial,
+    may_bridge,
     reason_not_used,
     started,
     trusts_gyro,
@@ -635,6 +637,29 @@ def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known
     assert np.sqrt(estimates[18].pose_cov[:3, :3].trace()) < 10.0
     assert not estimates[-1].imu_left_out
     assert estimates[-1].status is Status.OK
+
+
+def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run) -> None:
+    """An IMU that may yet be used bridges; one whose samples can be tested has to pass first."""
+    used = run[2].inertial
+    assert used is not None
+    factor = factors_of(run[2])[-1]
+    none = (None,) * len(used.factors)
+    untested = replace(used, states=None, pending=None)
+    expected = {
+        ImuStatus.USED: (used, True, True),
+        ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
+        ImuStatus.WAITING: (untested, True, True),
+        ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
+        ImuStatus.LEFT_OUT: (used.without_states("", refused=True), False, False),
+    }
+    assert set(expected) == set(ImuStatus)
+    for status, (imu, bridges, predicts) in expected.items():
+        window = replace(run[2], inertial=imu)
+        assert imu.status is status
+        assert uses_imu(window) == (status is ImuStatus.USED)
+        assert may_bridge(window) == bridges
+        assert trusts_gyro(window) == predicts
 
 
 def test_an_imu_that_cannot_be_tested_waits() -> None:

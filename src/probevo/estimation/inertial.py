@@ -8,6 +8,7 @@ images time and again is left out for good.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
@@ -78,6 +79,21 @@ UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be a
 """Why an IMU is not used where its factors are lost in rounding."""
 
 
+class ImuStatus(Enum):
+    """How far an IMU has come, from its first samples to its use."""
+
+    UNUSABLE = auto()
+    """None of its samples could be preintegrated, neither in the window nor behind it."""
+    WAITING = auto()
+    """Not tested yet, and without a preintegration to the frame that comes."""
+    TESTING = auto()
+    """Not tested yet, with a preintegration to the frame that comes."""
+    USED = auto()
+    """The poses of the window depend on it."""
+    LEFT_OUT = auto()
+    """It has failed a test, or the window is too short for one: it is left out for good."""
+
+
 @dataclass(frozen=True)
 class Inertial:
     """The IMU of a window with K frames."""
@@ -106,9 +122,20 @@ class Inertial:
     """Whether it has been left out for good."""
 
     @property
+    def status(self) -> ImuStatus:
+        """How far it has come."""
+        if self.refused:
+            return ImuStatus.LEFT_OUT
+        if self.states is not None:
+            return ImuStatus.USED
+        if self.pending is not None:
+            return ImuStatus.TESTING
+        return ImuStatus.WAITING if self.has_factors else ImuStatus.UNUSABLE
+
+    @property
     def is_used(self) -> bool:
         """Whether the window's poses depend on it."""
-        return self.states is not None
+        return self.status is ImuStatus.USED
 
     @property
     def has_factors(self) -> bool:
@@ -222,8 +249,7 @@ def trusts_gyro(window: Window | None) -> bool:
     """
     if window is None or window.inertial is None:
         return True
-    inertial = window.inertial
-    return inertial.is_used or (inertial.pending is None and not inertial.refused)
+    return window.inertial.status not in (ImuStatus.TESTING, ImuStatus.LEFT_OUT)
 
 
 def may_bridge(window: Window) -> bool:
@@ -233,10 +259,9 @@ def may_bridge(window: Window) -> bool:
     One whose samples have covered no interval of the window may not: too few of them, or none of
     an accelerometer.
     """
-    inertial = window.inertial
-    if inertial is None or inertial.refused:
+    if window.inertial is None:
         return False
-    return inertial.is_used or inertial.pending is not None or inertial.has_factors
+    return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.LEFT_OUT)
 
 
 def uses_imu(window: Window | None) -> bool:
@@ -336,8 +361,7 @@ def reason_left_out(window: Window | None) -> str:
     if window is None or window.inertial is None:
         return ""
     inertial = window.inertial
-    has_measured = inertial.is_used or inertial.refused or inertial.has_factors
-    if not has_measured and len(inertial.factors) > 1:
+    if inertial.status is ImuStatus.UNUSABLE and len(inertial.factors) > 1:
         return ""
     return inertial.note
 
@@ -459,7 +483,7 @@ def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
         most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
-    if inertial is None or inertial.is_used or inertial.refused:
+    if inertial is None or inertial.status in (ImuStatus.USED, ImuStatus.LEFT_OUT):
         return window
     # The factors up to the last frame; where one is missing, as after lost samples, those before
     # it do not count.
