@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
 from probevo.estimation.inertial import (
+    ImuStatus,
     Inertial,
+    may_bridge,
     reason_not_used,
     started,
     trusts_gyro,
@@ -33,6 +35,7 @@ from probevo.estimation.inertial_states import (
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_marginalization import without_blind
 from probevo.estimation.window_numba import POSE, RIG
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
@@ -40,16 +43,18 @@ from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
-from worlds import CAMERA, blind_frame, tracks_between
+from worlds import CAMERA, FRAME_NS, blind_frame, tracks_between
 
 SIGMA_PX = 0.3
 
 
-def odometry(calibration: ImuCalibration | None = CALIBRATION) -> StereoOdometry:
+def odometry(
+    calibration: ImuCalibration | None = CALIBRATION, *, frames: int = 8
+) -> StereoOdometry:
     config = {
         "estimator": "window",
         "self_calibration": False,
-        "window": {"correlation": 0.0, "frames": 8},
+        "window": {"correlation": 0.0, "frames": frames},
     }
     noise = StudentT(dof=np.inf, scale=SIGMA_PX**2 * np.eye(4))
     return StereoOdometry(CAMERA, noise, calibration, config)
@@ -249,7 +254,7 @@ def adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
         vector=prior.vector + held @ window.offsets(),
     )
     for _ in range(2):
-        window = by.adjusted(replace(window, prior=with_gauge)).window
+        window = by.adjusted(replace(window, prior=with_gauge))
     return replace(window, prior=prior)
 
 
@@ -366,6 +371,74 @@ def test_an_imu_at_rest_starts() -> None:
     assert np.linalg.norm(last.T_world_cam[:3, 3]) < 0.01
 
 
+def test_biases_that_do_not_walk_are_as_those_that_hardly_walk() -> None:
+    """σ of the biases after 80 frames, and the last pose in units of its σ, agree to a thousandth
+    with walks of 1e-7 rad/s²/√Hz and 1e-6 m/s³/√Hz."""
+    frames, truth = drive_of(48, 80)
+    found = []
+    for gyro_walk, accel_walk in ((0.0, 0.0), (1e-7, 1e-6)):
+        calibration = replace(
+            CALIBRATION,
+            gyro_bias_walk_rad_s2_sqrt_hz=gyro_walk,
+            accel_bias_walk_m_s3_sqrt_hz=accel_walk,
+        )
+        by = StereoOdometry(CAMERA, imu=calibration)
+        for frame in frames:
+            estimate = by.step(frame)
+        assert by.window is not None
+        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
+        squared = error @ np.linalg.solve(estimate.pose_cov, error)
+        sigmas = np.sqrt(np.diag(states_of(by.window).cov)[-6:])
+        found.append(np.append(sigmas, squared))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("frames", [3, 4])
+def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
+    """It is used from then on, and the last poses of ten drives are consistent."""
+    squared = []
+    for seed in range(60, 70):
+        seen, truth = drive_of(seed, 20)
+        by = odometry(frames=frames)
+        for frame in seen:
+            estimate = by.step(frame)
+            assert uses_imu(by.window) == (frame.index >= frames)
+        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
+        squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
+    assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
+
+
+def test_a_window_that_is_too_short_for_the_test_says_so() -> None:
+    """Of two frames: the IMU is left out, and after a blackout landmarks are found again."""
+    frames, _ = drive_of(47, 12)
+    for k in (8, 9):
+        frames[k] = replace(blind_frame(k), imu=frames[k].imu)
+    by = odometry(frames=2)
+    estimates = [by.step(frame) for frame in frames]
+    assert "fewer than 3 window.frames" in estimates[-1].imu_left_out
+    assert estimates[10].status is Status.RECOVERED
+    assert reason_not_used(by.window) == estimates[-1].imu_left_out
+
+
+def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
+    """A hole of 30 ms in each seventh interval, which is not preintegrated: the last intervals are
+    tested by themselves. The last poses of ten drives are consistent."""
+    squared = []
+    for seed in range(50, 60):
+        frames, truth = drive_of(seed, 24)
+        by = odometry()
+        for frame in frames:
+            changed = frame
+            if frame.imu is not None and frame.index % 7 == 4:
+                in_hole = np.abs(np.arange(len(frame.imu.stamps_ns)) - 10) < 3
+                changed = with_samples_at(frame, ~in_hole)
+            estimate = by.step(changed)
+        assert uses_imu(by.window)
+        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
+        squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
+    assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
+
+
 Change = Callable[[ImuSamples], ImuSamples]
 
 
@@ -381,18 +454,19 @@ def late(samples: ImuSamples) -> ImuSamples:
     return replace(samples, stamps_ns=samples.stamps_ns - 50_000_000)
 
 
+@pytest.mark.parametrize("window_frames", [3, 4, 8])
 @pytest.mark.parametrize("change", [in_degrees, in_g])
-def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
+def test_an_imu_that_contradicts_the_images_is_not_used(change: Change, window_frames: int) -> None:
     """The path is then that of the images alone, to the byte, and the estimates say why."""
     frames, _ = drive_of(40, 16)
     wrong = [
         frame if frame.imu is None else replace(frame, imu=change(frame.imu)) for frame in frames
     ]
-    by = odometry()
-    estimates = [by.step(frame) for frame in wrong]
-    assert by.window is not None
-    assert by.window.inertial is not None
-    assert not by.window.inertial.is_used
+    by = odometry(frames=window_frames)
+    estimates = []
+    for frame in wrong:
+        estimates.append(by.step(frame))
+        assert not uses_imu(by.window)
     assert "check the" in estimates[-1].imu_left_out
 
 
@@ -427,6 +501,72 @@ def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
     assert by.window is not None
     assert by.window.inertial is not None
     assert by.window.inertial.refused
+
+
+def at_the_rate_of_the_frames(frame: Frame) -> Frame:
+    """Keep the sample nearest to each end of the interval, as of an inertial navigation system."""
+    if frame.imu is None:
+        return frame
+    stamps_ns = frame.imu.stamps_ns
+    ends_ns = np.array([frame.stamp_ns - FRAME_NS, frame.stamp_ns])
+    return with_samples_at(frame, np.abs(stamps_ns[:, None] - ends_ns).argmin(axis=0))
+
+
+def with_samples_at(frame: Frame, kept: IntArray | BoolArray) -> Frame:
+    """Keep some of a frame's samples."""
+    if frame.imu is None:
+        return frame
+    imu = ImuSamples(
+        frame.imu.stamps_ns[kept], frame.imu.gyro_rad_s[kept], frame.imu.accel_m_s2[kept]
+    )
+    return replace(frame, imu=imu)
+
+
+def gyro_from_the_second_interval_on(frame: Frame) -> Frame:
+    """Keep only the gyro, and nothing before the second frame."""
+    if frame.imu is None or frame.index == 1:
+        return replace(frame, imu=None)
+    no_force = np.full_like(frame.imu.accel_m_s2, np.nan)
+    return replace(frame, imu=replace(frame.imu, accel_m_s2=no_force))
+
+
+@pytest.mark.parametrize("change", [at_the_rate_of_the_frames, gyro_from_the_second_interval_on])
+def test_behind_samples_that_are_never_preintegrated_landmarks_are_found_again(
+    change: Callable[[Frame], Frame],
+) -> None:
+    """No state ever depends on them: a blackout ends as without an IMU, and in it the position is
+    as uncertain."""
+    frames, _ = drive_of(45, 14)
+    dark = range(6, 9)
+    by = odometry()
+    without = odometry(calibration=None)
+    for frame in frames:
+        shown = replace(blind_frame(frame.index), imu=frame.imu) if frame.index in dark else frame
+        estimate = by.step(change(shown))
+        expected = without.step(replace(shown, imu=None))
+        if frame.index == dark.stop:
+            assert estimate.status is Status.RECOVERED
+            assert expected.status is Status.RECOVERED
+        sigma_m = np.sqrt(estimate.pose_cov[:3, :3].trace())
+        assert sigma_m == pytest.approx(np.sqrt(expected.pose_cov[:3, :3].trace()), rel=0.1)
+    np.testing.assert_allclose(estimate.T_world_cam, expected.T_world_cam, atol=2e-3)
+    assert by.window is not None
+    assert by.window.inertial is not None
+
+
+def test_factors_between_frames_that_stay_remain_when_blind_ones_leave() -> None:
+    frames, _ = drive_of(46, 8)
+    by = odometry()
+    for frame in frames:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    factors = factors_of(window)
+    known = replace(window.prior, information=np.eye(len(window.prior.vector)))
+    leaving = np.arange(len(window)) == 3
+    kept = without_blind(replace(window, prior=known), leaving)
+    assert kept.inertial is not None
+    assert kept.inertial.factors == (*factors[:2], None, *factors[4:])
 
 
 def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
@@ -497,6 +637,29 @@ def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known
     assert np.sqrt(estimates[18].pose_cov[:3, :3].trace()) < 10.0
     assert not estimates[-1].imu_left_out
     assert estimates[-1].status is Status.OK
+
+
+def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run) -> None:
+    """An IMU that may yet be used bridges; one whose samples can be tested has to pass first."""
+    used = run[2].inertial
+    assert used is not None
+    factor = factors_of(run[2])[-1]
+    none = (None,) * len(used.factors)
+    untested = replace(used, states=None, pending=None)
+    expected = {
+        ImuStatus.USED: (used, True, True),
+        ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
+        ImuStatus.WAITING: (untested, True, True),
+        ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
+        ImuStatus.LEFT_OUT: (used.without_states("", refused=True), False, False),
+    }
+    assert set(expected) == set(ImuStatus)
+    for status, (imu, bridges, predicts) in expected.items():
+        window = replace(run[2], inertial=imu)
+        assert imu.status is status
+        assert uses_imu(window) == (status is ImuStatus.USED)
+        assert may_bridge(window) == bridges
+        assert trusts_gyro(window) == predicts
 
 
 def test_an_imu_that_cannot_be_tested_waits() -> None:

@@ -228,7 +228,7 @@ def test_a_window_as_long_as_the_drive_is_batch_adjustment(
     by = estimator(frames=8, correlation=correlation)
     window = windows_of(frames, by, tau_px=tau_px)[-1]
     for _ in range(6):  # on line, it stops at a fraction of a standard deviation
-        window = by.adjusted(window).window
+        window = by.adjusted(window)
     solved, cov = batch(window, correlation)
     difference = se3.log(solved.T_cam_world @ se3.inverse(window.T_cam_world))
     assert np.abs(difference).max() < 1e-6
@@ -377,7 +377,7 @@ def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
     with_gauge = replace(
         prior, information=prior.information + held, vector=prior.vector + held @ x
     )
-    adjusted = by.adjusted(replace(window, prior=with_gauge)).window
+    adjusted = by.adjusted(replace(window, prior=with_gauge))
     return replace(adjusted, prior=prior)
 
 
@@ -604,7 +604,7 @@ def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
     window = windows_of(frames, by)[-1]
     moved = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])) @ window.T_cam_world[-1]
     at_end = PosePrior(pose_of(3), moved, 1e-12 * np.eye(6))
-    adjusted = by.adjusted(with_measurements(window, [at_end])).window
+    adjusted = by.adjusted(with_measurements(window, [at_end]))
     error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
     assert np.abs(error).max() < 1e-3
     assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()
@@ -619,6 +619,72 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     two_frames = step_to(3, FORWARD)
     window = by.with_features(window, 3, tracks, noise_of(2), two_frames=two_frames)
     T, cov = window.relative(3, 2)
+    np.testing.assert_allclose(T, FORWARD, atol=1e-9)
+    np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
+
+
+def test_a_bias_adds_up_along_a_track() -> None:
+    """If each step adds the same mean error to a track, and the noise model knows it, the window is
+    that of tracks without it, also of landmarks that began anew."""
+    bias_px = np.array([0.2, 0.1, 0.0, 0.1])
+    frames = drive(np.random.default_rng(68), 9, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=5)
+    expected = windows_of(frames, by)[-1]
+    first: dict[int, int] = {}
+    found = Window.at_first_frame(0)
+    for prev, curr in pairwise(frames):
+        tracks = tracks_between(prev, curr)
+        began = [first.setdefault(int(track), prev.index) for track in tracks.ids]
+        steps = curr.index - np.array(began)[:, None]
+        drifting = replace(
+            tracks,
+            prev_px=tracks.prev_px + (steps - 1) * bias_px,
+            curr_px=tracks.curr_px + steps * bias_px,
+        )
+        noise = replace(noise_of(len(tracks)), bias=np.tile(bias_px, (len(tracks), 1)))
+        two_frames = step_to(curr.index, FORWARD)
+        found = by.with_features(found, curr.index, drifting, noise, two_frames=two_frames)
+    np.testing.assert_allclose(found.T_cam_world, expected.T_cam_world, atol=1e-9)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-6, atol=1e-12)
+
+
+def test_what_two_frames_have_measured_counts_once_where_they_stand_for_the_features() -> None:
+    """A sensor of the motion is in that of two frames already; one of the pose is not."""
+    frames = drive(np.random.default_rng(64), 4, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    before = windows_of(frames[:3], by)[-1]
+    tracks = tracks_between(frames[2], frames[3])
+    singular = replace(noise_of(len(tracks)), scale=np.zeros((len(tracks), 4, 4)))
+    two_frames = step_to(3, FORWARD)
+    of_motion = RelativePose(FORWARD, 1e-4 * np.eye(6), pose_of(3), pose_of(2))
+    window = by.with_features(
+        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion]
+    )
+    _, cov = window.relative(3, 2)
+    np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
+    there = FORWARD @ before.T_cam_world[-1]
+    of_pose = PosePrior(pose_of(3), there, 1e-4 * np.eye(6))
+    window = by.with_features(
+        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion, of_pose]
+    )
+    assert (np.diag(window.pose(-1).cov) < 1.1e-4).all()
+
+
+@pytest.mark.parametrize("variance_px2", [0.0, np.nan])
+def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
+    variance_px2: float,
+) -> None:
+    """Of one feature, along one axis of the image."""
+    frames = drive(np.random.default_rng(67), 3, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = windows_of(frames[:2], by)[-1]
+    tracks = tracks_between(frames[1], frames[2])
+    noise = noise_of(len(tracks))
+    scale = noise.scale.copy()
+    scale[5, 3, 3] = variance_px2
+    two_frames = step_to(2, FORWARD)
+    window = by.with_features(window, 2, tracks, replace(noise, scale=scale), two_frames=two_frames)
+    T, cov = window.relative(2, 1)
     np.testing.assert_allclose(T, FORWARD, atol=1e-9)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
 
@@ -638,7 +704,7 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
         noise = replace(noise_of(len(tracks)), scale=scale)
         window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
         assert np.linalg.eigvalsh(by._system(window).equations.hessian)[0] > 0.0
-        window = by.adjusted(window).window
+        window = by.adjusted(window)
 
 
 def with_standing_factors(window: Window, by: WindowEstimator) -> FloatArray:
@@ -798,7 +864,7 @@ def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
     windows = windows_of(frames[:9], by)
     lost = 1e-9 * windows[-1].prior.information
     prior = MarginalPrior(lost, np.zeros(len(lost)))
-    windows = [by.adjusted(replace(windows[-1], prior=prior)).window]
+    windows = [by.adjusted(replace(windows[-1], prior=prior))]
     for prev, curr in pairwise(frames[8:]):
         tracks = tracks_between(prev, curr)
         two_frames = step_to(curr.index, FORWARD)
@@ -853,7 +919,7 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     np.testing.assert_allclose(equations.gradient[kept], wanted.gradient, rtol=1e-6, atol=1e-6)
     assert np.abs(equations.hessian[4 * POSE : 5 * POSE]).max() == 0.0
     # Marginalised, it takes along what measured nothing but itself.
-    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)])).window
+    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)]))
     without = without_blind(measured, found.is_blind)
     attached = np.arange(3 * POSE, 4 * POSE)  # to frame 3, of which no other prior speaks
     assert np.abs(measured.prior.information[np.ix_(attached, attached)]).max() > 10.0

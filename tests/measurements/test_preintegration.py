@@ -156,7 +156,8 @@ def test_samples_without_a_plausible_number_are_left_out() -> None:
     ("rows", "reason"),
     [
         (slice(0, 0), "no samples"),
-        (slice(0, 4), "4 usable samples"),
+        (slice(0, 1), "a single usable sample"),
+        (slice(0, 4), "4 usable samples between two frames, 85 ms apart"),
         (slice(0, 12), "no samples for 45 ms"),
         (np.r_[0:6, 12:21], "no samples for 35 ms"),
     ],
@@ -169,6 +170,39 @@ def test_samples_that_do_not_cover_the_interval_give_a_reason(
     found = preintegrate(part, START_NS, END_NS, CALIBRATION)
     assert isinstance(found, NoPreintegration)
     assert reason in found.reason
+
+
+@pytest.mark.parametrize(
+    ("frame_hz", "sample_hz", "covers"),
+    [
+        (75, 200, True),
+        (100, 200, True),
+        (200, 200, True),
+        (200, 100, True),
+        (60, 62, True),
+        (60, 58, False),
+        (20, 62, True),
+        (20, 40, False),
+        (10, 31, True),
+        (10, 19, False),
+        (10, 10, False),
+    ],
+)
+def test_of_any_camera_close_samples_cover_all_intervals(
+    frame_hz: int, sample_hz: int, covers: bool
+) -> None:
+    """Samples 1/60 s apart do, wherever in the interval they begin, be they two. Samples farther
+    apart cover those intervals that have five of them."""
+    interval_ns = 1_000_000_000 // frame_hz
+    period_ns = 1_000_000_000 // sample_hz
+    found = []
+    for offset_ns in np.linspace(1, period_ns, 7).astype(int):
+        stamps_ns = np.arange(-offset_ns, interval_ns + period_ns, period_ns)
+        still = np.zeros((len(stamps_ns), 3))
+        imu = ImuSamples(START_NS + stamps_ns, still, still)
+        part = preintegrate(imu, START_NS, START_NS + interval_ns, CALIBRATION)
+        found.append(isinstance(part, Preintegration))
+    assert all(found) if covers else not all(found)
 
 
 def test_packets_that_are_held_over_intervals_count_once() -> None:

@@ -9,7 +9,12 @@ from numpy.typing import ArrayLike
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.measurements.robust_loss import RobustLoss
-from probevo.measurements.robust_loss_numba import RESIDUAL_DIM, LossKind, robust_cost
+from probevo.measurements.robust_loss_numba import (
+    RESIDUAL_DIM,
+    LossKind,
+    robust_cost,
+    robust_curvature,
+)
 
 LOSSES = [
     RobustLoss.l2(),
@@ -83,6 +88,26 @@ def test_cost_begins_at_zero_and_never_falls(loss: RobustLoss) -> None:
     costs = cost(loss, np.r_[0.0, np.geomspace(1e-6, 1e6, 500)], dof=5.0)
     assert costs[0] == 0.0
     assert (np.diff(costs) >= 0).all()
+
+
+@pytest.mark.parametrize("dimension", [4, 5, 37])
+@pytest.mark.parametrize("loss", LOSSES[1:4], ids=lambda loss: loss.kind.name.lower())
+def test_curvature_is_the_mean_eigenvalue_of_the_hessian(loss: RobustLoss, dimension: int) -> None:
+    """Of (n/4) ρ(rᵀr/(n/4)) in n dimensions, by second differences: as a window takes the mean of a
+    landmark's observations."""
+    scale = dimension / RESIDUAL_DIM
+    parameter = float(loss.parameters(np.inf))
+    rng = np.random.default_rng(3)
+    r = rng.normal(size=dimension)
+    step = 1e-4
+    for length in (0.5, 1.6, 2.2, 3.5):
+        here = length * np.sqrt(scale) * r / np.linalg.norm(r)
+        moved = here + step * np.concatenate([np.eye(dimension), -np.eye(dimension)])
+        squared = np.square(np.vstack([here, moved])).sum(axis=1)
+        costs = scale * cost(loss, squared / scale)
+        laplacian = (costs[1:].sum() - 2 * dimension * costs[0]) / step**2
+        found = robust_curvature(int(loss.kind), parameter, length**2, dimension)
+        assert found == pytest.approx(laplacian / dimension, rel=1e-4)
 
 
 def test_student_t_of_infinite_dof_is_least_squares() -> None:

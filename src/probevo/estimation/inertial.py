@@ -8,6 +8,7 @@ images time and again is left out for good.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
@@ -49,7 +50,11 @@ from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
 
 FRAMES_AT_START = 6
-"""Least number of frames of which the states are estimated at first."""
+"""Number of frames of which the states are estimated at first; all frames of a shorter window."""
+FEWEST_AT_START = 4
+"""Least number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and ways, and the
+prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9 degrees of freedom. Three
+frames fit any forces, and would test nothing but the length of gravity."""
 LARGEST_EXCESS = 4.0
 """Largest χ² over its degrees of freedom, at the start and later: what factors and images together
 may be noisier than they say."""
@@ -68,8 +73,25 @@ MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
 NO_SOLUTION = "is left out from here on: with it, the window has no solution"
 """Why an IMU is left out where the normal equations with its states are singular."""
+SHORT_WINDOW = "is left out: with fewer than 3 window.frames, it cannot be tested"
+"""Why an IMU is left out of a window that never has ``FEWEST_AT_START`` frames."""
 UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be accurate"
 """Why an IMU is not used where its factors are lost in rounding."""
+
+
+class ImuStatus(Enum):
+    """How far an IMU has come, from its first samples to its use."""
+
+    UNUSABLE = auto()
+    """None of its samples could be preintegrated, neither in the window nor behind it."""
+    WAITING = auto()
+    """Not tested yet, and without a preintegration to the frame that comes."""
+    TESTING = auto()
+    """Not tested yet, with a preintegration to the frame that comes."""
+    USED = auto()
+    """The poses of the window depend on it."""
+    LEFT_OUT = auto()
+    """It has failed a test, or the window is too short for one: it is left out for good."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +122,31 @@ class Inertial:
     """Whether it has been left out for good."""
 
     @property
+    def status(self) -> ImuStatus:
+        """How far it has come."""
+        if self.refused:
+            return ImuStatus.LEFT_OUT
+        if self.states is not None:
+            return ImuStatus.USED
+        if self.pending is not None:
+            return ImuStatus.TESTING
+        return ImuStatus.WAITING if self.has_factors else ImuStatus.UNUSABLE
+
+    @property
     def is_used(self) -> bool:
         """Whether the window's poses depend on it."""
-        return self.states is not None
+        return self.status is ImuStatus.USED
+
+    @property
+    def has_factors(self) -> bool:
+        """Whether its samples cover an interval between frames of the window."""
+        return any(factor is not None for factor in self.factors)
+
+    @property
+    def first_covered(self) -> int:
+        """Place of the first frame from which on its samples cover all intervals, 0 … K − 1."""
+        missing = [at for at, factor in enumerate(self.factors) if factor is None]
+        return missing[-1] + 1 if missing else 0
 
     @property
     def excess(self) -> float:
@@ -167,7 +211,7 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         return window
     # Start anew where no factor of the window is left, as after a long time without samples.
     inertial = window.inertial
-    if inertial.is_used and not any(inertial.factors):
+    if inertial.is_used and not inertial.has_factors:
         # For as long as the window lasts: what is left of the states would only be in the way.
         window = without_inertial(window, inertial.note, refused=False)
         inertial = inertial.without_states(inertial.note, refused=False)
@@ -205,14 +249,19 @@ def trusts_gyro(window: Window | None) -> bool:
     """
     if window is None or window.inertial is None:
         return True
-    inertial = window.inertial
-    return inertial.is_used or (inertial.pending is None and not inertial.refused)
+    return window.inertial.status not in (ImuStatus.TESTING, ImuStatus.LEFT_OUT)
 
 
 def may_bridge(window: Window) -> bool:
     """Return whether a window has an IMU that may know the way through frames without features, or
-    may yet come to know it."""
-    return window.inertial is not None and not window.inertial.refused
+    may yet come to know it.
+
+    One whose samples have covered no interval of the window may not: too few of them, or none of
+    an accelerometer.
+    """
+    if window.inertial is None:
+        return False
+    return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.LEFT_OUT)
 
 
 def uses_imu(window: Window | None) -> bool:
@@ -229,7 +278,8 @@ def gated(window: Window, seen: RelativePose) -> Window:
 
     Args:
         window: K frames, with what the IMU measured since.
-        seen: the motion to the frame that comes, from two images by themselves.
+        seen: the motion to the frame that comes, from two frames by themselves: their images, and
+            sensors of the motion; corrected if there is a correction.
     """
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
@@ -311,8 +361,7 @@ def reason_left_out(window: Window | None) -> str:
     if window is None or window.inertial is None:
         return ""
     inertial = window.inertial
-    has_measured = inertial.is_used or inertial.refused or any(inertial.factors)
-    if not has_measured and len(inertial.factors) > 1:
+    if inertial.status is ImuStatus.UNUSABLE and len(inertial.factors) > 1:
         return ""
     return inertial.note
 
@@ -413,21 +462,38 @@ def bridges_newest(window: Window) -> bool:
     return inertial is not None and inertial.is_used and inertial.factors[-1] is not None
 
 
-def started(window: Window) -> Window:
+def testable(window: Window, most_frames: int) -> Window:
+    """Return the window without its IMU, for good, if it is too short to test it.
+
+    Args:
+        window: K frames.
+        most_frames: of the window at any time, the new one included.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.refused or most_frames >= FEWEST_AT_START:
+        return window
+    return without_inertial(window, SHORT_WINDOW)
+
+
+def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     """Return the window with inertial states, if the IMU agrees with its poses.
 
     Args:
         window: K frames, adjusted without any inertial states.
+        most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
-    if inertial is None or inertial.is_used or inertial.refused:
+    if inertial is None or inertial.status in (ImuStatus.USED, ImuStatus.LEFT_OUT):
         return window
-    factors = [factor for factor in inertial.factors if factor is not None]
-    if len(window) < FRAMES_AT_START or len(factors) < len(inertial.factors):
+    # The factors up to the last frame; where one is missing, as after lost samples, those before
+    # it do not count.
+    first = inertial.first_covered
+    if len(window) - first < min(FRAMES_AT_START, most_frames):
         return window
+    factors = [factor for factor in inertial.factors[first:] if factor is not None]
     # The test against the images.
     try:
-        fit = fit_inertial_states(window, factors, inertial.calibration)
+        fit = fit_inertial_states(window, factors, inertial.calibration, first=first)
     except np.linalg.LinAlgError:
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
         return replace(window, inertial=replace(inertial, note=UNTESTABLE))

@@ -80,22 +80,33 @@ class InertialFit:
 
 
 def fit_inertial_states(
-    window: Window, factors: Sequence[Preintegration], calibration: ImuCalibration
+    window: Window,
+    factors: Sequence[Preintegration],
+    calibration: ImuCalibration,
+    *,
+    first: int = 0,
 ) -> InertialFit:
     """Estimate the inertial states of a window whose poses are known with their covariance.
 
+    Frames before the first factor take part neither in the fit nor in the test. Their velocities
+    are taken to be that of the next frame, as a guess.
+
     Args:
         window: K poses, from images alone.
-        factors: between all successive frames, [K − 1].
+        factors: between all successive frames from place ``first`` on, [K − 1 − first].
         calibration: of the IMU; its bias sigmas are the prior.
+        first: place of the first frame with a factor.
 
     Raises:
         numpy.linalg.LinAlgError: the covariance of the poses is indefinite, by rounding.
     """
     # First guesses: at rest, without bias, gravity along the first camera's y axis. Velocities and
     # gravity enter linearly, so that these need not be good.
-    count = len(window)
-    first = np.arange(count - 1)
+    T_linear = window.T_linear[first:]
+    covered = replace(window, T_cam_world=window.T_cam_world[first:], T_linear=T_linear)
+    pose_cov = window.cov[POSE * first :, POSE * first :]
+    count = len(T_linear)
+    pairs = np.arange(count - 1)
     bias_sigma = bias_sigmas(calibration)
     # Unknowns: velocities, one bias of each kind, gravity.
     size = 3 * count + 9
@@ -110,7 +121,7 @@ def fit_inertial_states(
     for _ in range(_PASSES):
         # Stack the factors: residuals r, and their derivatives by the poses and by the unknowns.
         states = _with_values(velocity, bias, gravity, bias_sigma)
-        residual, jacobian = linearized(window, states, factors, first)
+        residual, jacobian = linearized(covered, states, factors, pairs)
         rows = len(residual) * 9
         by_pose = np.zeros((rows, POSE * count + RIG))
         design = np.zeros((rows, size))
@@ -124,13 +135,13 @@ def fit_inertial_states(
             design[here, of_bias] = of_states[:, 3:STATE]
             # ∂δv/∂g = −T C_i and ∂δp/∂g = −½ T² C_i.
             # Gravity is free here, in its length, too, and not only across itself.
-            C_i = window.T_linear[at, :3, :3]
+            C_i = T_linear[at, :3, :3]
             design[9 * at + 3 : 9 * at + 6, -3:] = -factor.duration_s * C_i
             design[9 * at + 6 : 9 * at + 9, -3:] = -0.5 * factor.duration_s**2 * C_i
             noise[here, here] = factor.cov
         # Whiten by the covariance of r, to which the poses contribute, scaled to a unit diagonal
         # since the units differ widely.
-        residual_cov = noise + by_pose @ window.cov @ by_pose.T
+        residual_cov = noise + by_pose @ pose_cov @ by_pose.T
         variance = np.diagonal(residual_cov)
         if not (variance > 0.0).all():
             raise np.linalg.LinAlgError("the covariance of the poses is indefinite")
@@ -152,8 +163,9 @@ def fit_inertial_states(
         gravity = values[-3:]
     length = float(np.linalg.norm(gravity))
     along = gravity / max(length, 1e-9)
+    of_all = np.vstack([np.tile(velocity[0], (first, 1)), velocity])
     return InertialFit(
-        states=_with_values(velocity, bias, gravity, bias_sigma),
+        states=_with_values(of_all, bias, gravity, bias_sigma),
         squared=squared,
         dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
         gravity_m_s2=length,

@@ -105,7 +105,10 @@ class Window:
             prior=MarginalPrior(information, np.zeros(POSE + RIG)),
             ids=np.zeros(0, np.int64),
             landmarks=WindowLandmarks(
-                state=np.zeros((0, 4)), error_information=np.zeros(0), standing=np.zeros(0)
+                state=np.zeros((0, 4)),
+                error_information=np.zeros(0),
+                standing=np.zeros(0),
+                bias=np.zeros((0, 4)),
             ),
             observations=WindowObservations(
                 start=np.zeros(1, np.int64),

@@ -96,16 +96,6 @@ LEAST_VARIANCE_PX2 = 1e-12
 
 
 @dataclass(frozen=True)
-class Adjustment:
-    """An adjusted window, and how well its observations fit."""
-
-    window: Window
-    squared: FloatArray
-    """Squared Mahalanobis distance of each observation, [M]."""
-    iterations: int
-
-
-@dataclass(frozen=True)
 class _System:
     """The normal equations of a window at its current values."""
 
@@ -223,19 +213,29 @@ class WindowEstimator:
             two_frames: the motion between these two frames by itself, with its covariance. It
                 counts beside the features only if it is one of the measurements, too.
             jitter_cov: covariance S of the rig's jitter, [3, 3], rad²; as before, if there is none.
-            measurements: further measurements of the poses of the window.
+            measurements: further measurements of the poses of the window. Those of this motion have
+                entered the solve of two frames.
         """
         if jitter_cov is not None:
             window = replace(window, jitter_cov=jitter_cov)
         prev = window.slot(two_frames.variables[0].frame)
-        extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev)
         try:
-            adjusted = self.adjusted(with_measurements(extended, measurements)).window
+            extended = self.with_frame(
+                window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
+            )
+            adjusted = self.adjusted(with_measurements(extended, measurements))
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
-            pass  # what no feature fixes makes the normal equations singular
-        return self.without_features(window, frame, two_frames, measurements)
+            pass  # what no feature fixes makes the normal equations singular; so may be a scale
+        # The solve of two frames has had the measurements of its motion.
+        of_motion = [
+            one
+            for one in measurements
+            if one is not two_frames and set(one.variables) == set(two_frames.variables)
+        ]
+        others = [one for one in measurements if all(one is not other for other in of_motion)]
+        return self.without_features(window, frame, two_frames, others, in_motion=of_motion)
 
     def without_features(
         self,
@@ -243,6 +243,8 @@ class WindowEstimator:
         frame: int,
         motion: RelativePose,
         measurements: Sequence[Measurement] = (),
+        *,
+        in_motion: Sequence[Measurement] = (),
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
@@ -253,7 +255,10 @@ class WindowEstimator:
             frame: index of the new one.
             motion: measured between one of them and the new one, as by dead reckoning.
             measurements: further measurements of the poses of the window; it may be one of them.
+            in_motion: measurements that the motion is estimated from, so that they count only where
+                it does not.
         """
+        given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         window = inertial.where_better_than(window, motion)
         guess = inertial.predicted_motion(window)
@@ -262,12 +267,14 @@ class WindowEstimator:
         prev = window.slot(motion.variables[0].frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         # A corrected motion is one of the measurements already, and must not count twice.
-        is_among_them = any(one is motion for one in measurements)
-        if not is_among_them and not inertial.bridges_newest(extended):
-            measurements = [*measurements, _bounded(motion)]
+        if all(one is not motion for one in measurements):
+            if inertial.bridges_newest(extended):
+                measurements = [*measurements, *in_motion]
+            else:
+                measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
-            adjusted = self.adjusted(measured).window
+            adjusted = self.adjusted(measured)
             if np.isfinite(adjusted.cov).all() or not inertial.uses_imu(window):
                 return self._shortened(adjusted)
         except np.linalg.LinAlgError:
@@ -275,17 +282,22 @@ class WindowEstimator:
                 raise
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial.without_inertial(window, inertial.NO_SOLUTION)
-        return self.without_features(left_out, frame, motion, measurements)
+        return self.without_features(left_out, frame, motion, given, in_motion=in_motion)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
-        started = inertial.started(window)
-        if not inertial.bridges_newest(started) or inertial.bridges_newest(window):
+        started = inertial.started(window, self._most_frames)
+        if not inertial.uses_imu(started) or inertial.uses_imu(window):
             return started
         try:
-            return self.adjusted(started).window
+            return self.adjusted(started)
         except np.linalg.LinAlgError:
             return inertial.without_inertial(window, inertial.NO_SOLUTION)
+
+    @property
+    def _most_frames(self) -> int:
+        """Most frames of a window before the oldest leaves it, blind ones not counted."""
+        return self._config.frames + 1
 
     def _fixes_newest(self, window: Window, prev: int) -> bool:
         """Return whether the motion from a frame to the newest is known as well as one of two
@@ -311,7 +323,7 @@ class WindowEstimator:
         what was seen before may then be found again. With an IMU that may bridge them, they are
         frames like others.
         """
-        window = replace(window, marginalized=())
+        window = inertial.testable(replace(window, marginalized=()), self._most_frames)
         limit = self._config.frames
         if not inertial.may_bridge(window):
             leaving = window.is_blind.copy()
@@ -366,13 +378,17 @@ class WindowEstimator:
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
         scale = np.concatenate([prev_scale[is_new], noise.scale])
+        # A bias is the mean of a step's residual: an observation has those of all steps since the
+        # first of its track in its error.
+        bias = np.concatenate([window.landmarks.bias, np.zeros_like(first_px)])
+        bias[rows] += noise.bias
         root = np.zeros_like(scale)
         if not fill_roots(scale, root):
             raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
         new = WindowObservations(
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
-            pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
+            pixels=np.concatenate([first_px, tracks.curr_px - bias[rows]]),
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
@@ -392,6 +408,7 @@ class WindowEstimator:
                 ]
             ),
             standing=np.concatenate([window.landmarks.standing, np.ones(len(first_px))]),
+            bias=bias,
         )
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
         # so that the pose may still be linearised anew (``_moved``).
@@ -412,7 +429,7 @@ class WindowEstimator:
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
         )
 
-    def adjusted(self, window: Window) -> Adjustment:
+    def adjusted(self, window: Window) -> Window:
         """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
 
         The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
@@ -428,9 +445,7 @@ class WindowEstimator:
         moved = window
         damping = 0.0
         before = 0.0  # the decrease by the step before
-        iterations = 0
-        while iterations < self._config.max_iterations:
-            iterations += 1
+        for _ in range(self._config.max_iterations):
             # gradient · step is about twice the decrease that the quadratic model predicts.
             step = self._step(system, damping)
             moved = self._moved(system, step)
@@ -452,11 +467,7 @@ class WindowEstimator:
         # The covariance is that of the last equations formed, at most that small step before.
         cov = self._covariance(system.equations.hessian)
         of_imu = inertial.covariance_known(moved, system.inertial, cov)
-        return Adjustment(
-            window=replace(moved, cov=cov, inertial=of_imu),
-            squared=system.elimination.squared,
-            iterations=iterations,
-        )
+        return replace(moved, cov=cov, inertial=of_imu)
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
@@ -576,7 +587,6 @@ class WindowEstimator:
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
             inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
             gradient=np.empty((num_landmarks, LANDMARK)),
-            squared=np.empty(num_observations),
         )
         # The features first: landmarks are eliminated while their equations are summed.
         cost = accumulate(
@@ -709,4 +719,5 @@ def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLa
         state=landmarks.state[keep],
         error_information=landmarks.error_information[keep],
         standing=landmarks.standing[keep],
+        bias=landmarks.bias[keep],
     )

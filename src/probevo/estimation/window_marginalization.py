@@ -112,8 +112,13 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
     num_before = np.cumsum(leaving)
     observations = window.observations
     imu = window.inertial
-    if imu is not None:  # it has been left out for good
-        imu = replace(imu, factors=(None,) * (int(np.sum(~leaving)) - 1))
+    if imu is not None:
+        # A factor leads from a frame to the next one, and stays where both of them do.
+        stays = ~leaving
+        factors = tuple(
+            imu.factors[slot - 1] if stays[slot - 1] else None for slot in np.flatnonzero(stays)[1:]
+        )
+        imu = replace(imu, factors=factors)
     return replace(
         window,
         frames=window.frames[~leaving],

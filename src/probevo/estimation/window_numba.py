@@ -112,7 +112,7 @@ LARGEST_SHIFT_PX = 30.0
 """No landmark lies farther than this from where its anchor frame has seen it. Where observations
 contradict one another, a step may lead anywhere; so far off, rounding would spoil the sums."""
 BEHIND_CAMERA = 1e6
-"""Cost, and squared distance, of an observation whose landmark has got behind the camera."""
+"""Squared distance of an observation whose landmark has got behind the camera."""
 
 
 class WindowGeometry(NamedTuple):
@@ -160,6 +160,9 @@ class WindowLandmarks(NamedTuple):
     standing: FloatArray
     """Factor of how far each is trusted, [L]: 1, and less for one that seems to move by itself
     (``standing_factors``)."""
+    bias: FloatArray
+    """Mean error of the last observation of each, [L, 4], px, which was taken off: the noise
+    model's mean of each step's residual, summed up along the track."""
 
 
 class WindowEquations(NamedTuple):
@@ -176,7 +179,7 @@ class WindowEquations(NamedTuple):
 
 
 class Elimination(NamedTuple):
-    """What finds the L landmarks once the poses are known, and how well their observations fit."""
+    """What finds the L landmarks once the poses are known."""
 
     coupling: FloatArray
     """Information between a landmark and the frame of each of its M observations, [M, 4, 9]; the
@@ -187,8 +190,6 @@ class Elimination(NamedTuple):
     """Inverse information of each landmark for given poses, [L, 4, 4]."""
     gradient: FloatArray
     """Gradient of each landmark, [L, 4]."""
-    squared: FloatArray
-    """Squared Mahalanobis distance of each observation from its prediction, [M]."""
 
 
 class RobustNoise(NamedTuple):
@@ -245,7 +246,9 @@ class _Trust(NamedTuple):
     """IRLS weight: the factor of each pull."""
     curvature: float
     """Factor of its information. Its mean is that of the Fisher information, so that Gauss–Newton
-    with it is Fisher scoring, and the inverse of what adds up is a covariance."""
+    with it is Fisher scoring, and the inverse of what adds up is a covariance. So it is if the loss
+    is that of the noise. Huber, Cauchy and Tukey weigh ordinary errors by less than 1, too, and
+    the covariance is then larger than the scatter of the estimates."""
 
 
 class _Workspace(NamedTuple):
@@ -297,7 +300,7 @@ def accumulate(
     # Per landmark: linearise, weigh, add what involves motions and rig, and subtract what the
     # elimination of the landmark takes away.
     for row in range(len(landmarks.state)):
-        squared = _linearize_track(row, problem, track, elimination.squared)
+        squared = _linearize_track(row, problem, track)
         trust = _trust(row, problem, squared)
         cost += trust.cost
         _add_common(row, problem, track, trust, elimination, equations=equations)
@@ -336,13 +339,12 @@ def standing_factors(
     track = _empty_track(len(geometry.T_cam_world))
     white = np.zeros((len(geometry.T_cam_world), PIXELS, VELOCITY))
     equations = np.zeros((_TESTED, _TESTED + 1))
-    squared = np.zeros(len(observations.slot))
     factors = landmarks.standing.copy()
     for row in range(len(factors)):
         count = observations.start[row + 1] - observations.start[row]
         if count >= FEWEST_TESTED:
             error = landmarks.state[row, 3]
-            total = _linearize_track(row, problem, track, squared)
+            total = _linearize_track(row, problem, track)
             total += landmarks.error_information[row] * error * error
             of_velocity = _velocity_squared(row, problem, track, white, equations)
             factors[row] = _standing_factor(row, problem, total, of_velocity)
@@ -501,14 +503,13 @@ def _adjoints(T: FloatArray) -> FloatArray:
 
 
 @compiled_into_callers
-def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatArray) -> float:
+def _linearize_track(row: int, problem: _Problem, track: _Track) -> float:
     """Fill the linearised observations of a landmark and their innovations.
 
     Args:
         row: the landmark.
         problem: all of them.
         track: receives the observations.
-        squared: receives the squared distance of each observation by itself, [M].
 
     Returns:
         eᵀ Σ⁻¹ e.
@@ -530,7 +531,6 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
         white = track.white[k]
         if not _project(state, T_ka, problem.geometry, track.ray):
             # What is behind the camera says nothing.
-            squared[m] = BEHIND_CAMERA
             total += BEHIND_CAMERA
             white[:] = 0.0
             continue
@@ -544,9 +544,6 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
             raw=track.raw[k],
         )
         _whiten(observations.root[m], track.raw[k], white)
-        squared[m] = 0.0
-        for n in range(PIXELS):
-            squared[m] += white[n, _ERROR] * white[n, _ERROR]
     # All of them together: the squared length of the innovations.
     _fill_innovations(count, problem.noise.correlation, track)
     # The last common column is the error, so that this sums eᵀ Σ⁻¹ e.
@@ -693,7 +690,7 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     return _Trust(
         cost=standing * scale * robust_cost(loss, parameter, total / scale),
         weight=standing * weight,
-        curvature=standing * robust_curvature(loss, parameter, total / scale),
+        curvature=standing * robust_curvature(loss, parameter, total / scale, dimension=free),
     )
 
 

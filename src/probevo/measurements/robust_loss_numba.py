@@ -47,8 +47,8 @@ def robust_weight(kind: int, parameter: float, squared: float) -> float:
 
 
 @compiled
-def robust_curvature(kind: int, parameter: float, squared: float) -> float:
-    """w + (2/d) w' s: the second derivative of the loss, averaged over the directions of the
+def robust_curvature(kind: int, parameter: float, squared: float, dimension: int) -> float:
+    """w + (2/d) w' s: the second derivative of the loss, averaged over the d directions of the
     residual.
 
     Of the d directions, the one along the residual has the curvature w + 2 w' s, the others have w.
@@ -65,7 +65,7 @@ def robust_curvature(kind: int, parameter: float, squared: float) -> float:
         share = squared / (parameter * parameter + squared)
     elif kind == TUKEY:
         share = 2.0 * squared / max(parameter * parameter - squared, 1e-12)
-    return weight * max(0.25, 1.0 - 2.0 / RESIDUAL_DIM * share)
+    return weight * max(0.25, 1.0 - 2.0 / dimension * share)
 
 
 @compiled

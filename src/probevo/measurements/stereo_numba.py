@@ -499,7 +499,9 @@ def weigh(
         # (``StereoObservations._variance_factor``).
         weight = robust_weight(loss.kind, loss.parameter[n], s)
         weights.weight[n] = weight
-        weights.curvature[n] = robust_curvature(loss.kind, loss.parameter[n], s)
+        weights.curvature[n] = robust_curvature(
+            loss.kind, loss.parameter[n], s, dimension=RESIDUAL_DIM
+        )
         weights.relative[n] = weight / robust_weight(loss.kind, loss.parameter[n], 0.0)
         scatter += weight * weight * s / RESIDUAL_DIM
         curved += weights.curvature[n]
