@@ -456,6 +456,16 @@ def test_truth_out_of_bounds_is_refused(
     assert "true position is over 1e+09 m" in capsys.readouterr().err
 
 
+def test_results_do_not_go_into_the_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_folder_sequence(tmp_path / "mine")
+    before = sorted(recording.rglob("*"))
+    assert main(["run", str(recording), "--out", str(tmp_path / "mine" / ".." / "mine")]) == 2
+    assert "--out: is the folder of the recording itself" in capsys.readouterr().err
+    assert sorted(recording.rglob("*")) == before
+
+
 def test_frames_without_texture_or_features_end_well_but_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences import open_sequence
+from probevo.sequences.calibration_content import load_calibration
 from probevo.sequences.calibration_files import read_stereo_calibration
 from probevo.sequences.euroc import CameraFile
 from probevo.sequences.recording import StereoRecording
@@ -184,6 +185,14 @@ def test_orb_slam3(tmp_path: Path) -> None:
     calibration = read_stereo_calibration(tmp_path / "EuRoC.yaml", SIZE_PX)
     assert_as_written(calibration, coefficients=(*RADTAN, 0.0))
     np.testing.assert_allclose(calibration.T_left_imu, T_LEFT_IMU, atol=1e-12)
+
+
+def test_a_vector_of_opencv_5_is_read(tmp_path: Path) -> None:
+    """It has another tag than a matrix."""
+    path = tmp_path / "vector.yml"
+    lines = ["%YAML 1.2", "---", "D1: !!opencv-nd-matrix", "   sizes: [ 4 ]", "   dt: d"]
+    write_lines(path, [*lines, "   data: [ 0.1, 0.2,", "       0.3, 0.4 ]"])
+    np.testing.assert_array_equal(load_calibration(path).numbers("D1"), [0.1, 0.2, 0.3, 0.4])
 
 
 def write_ros(folder: Path, distortion: tuple[float, ...] = RADTAN) -> None:

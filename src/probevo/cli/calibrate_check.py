@@ -64,9 +64,11 @@ def main(words: list[str]) -> None:
         from probevo.output.calibration_picture import check_picture_path
 
         check_picture_path(arguments.out)
+    from probevo.cli.first_use import say_if_compiling
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    say_if_compiling()
     found = check(sequence, arguments.max_frames)
     print("\n".join(found.lines), flush=True)
     if arguments.out is not None:

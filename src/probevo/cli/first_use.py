@@ -26,6 +26,12 @@ def getting_ready() -> str:
     return "compiling, only this first time: 10 to 30 s"
 
 
+def say_if_compiling() -> None:
+    """Say on stderr that the first use compiles, before a command that shows no progress."""
+    if not is_solver_compiled():
+        print(getting_ready(), file=sys.stderr, flush=True)
+
+
 def is_solver_compiled() -> bool:
     """Return whether Numba's cache holds the compiled solver."""
     from probevo.measurements.stereo_numba import normal_equations

@@ -71,9 +71,11 @@ def main(words: list[str]) -> None:
     """Parse the arguments, open the recording, and print what it is."""
     arguments = parse(InfoArguments, words, "info")
     settings = checked(arguments.settings)
+    from probevo.cli.first_use import say_if_compiling
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    say_if_compiling()
     rows = describe(sequence)
     try:
         rows += examine(sequence)

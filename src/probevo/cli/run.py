@@ -60,6 +60,10 @@ def main(words: list[str]) -> None:
         )
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
+    if arguments.out.resolve() == arguments.sequence.resolve():
+        raise InputError(
+            "--out", "is the folder of the recording itself.", "Name another one for the results."
+        )
     settings = settings.model_copy(update={"sequence": arguments.sequence})
 
     # Only now, after the arguments are known to be good: these imports take time.

@@ -71,7 +71,7 @@ MOST_GATED = 6
 """So many of them beyond the gate, and the IMU is left out."""
 MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
-NO_SOLUTION = "is left out from here on: with it, the window has no solution"
+NO_SOLUTION = "is left out for good: with it, the window has no solution"
 """Why an IMU is left out where the normal equations with its states are singular."""
 SHORT_WINDOW = "is left out: with fewer than 3 window.frames, it cannot be tested"
 """Why an IMU is left out of a window that never has ``FEWEST_AT_START`` frames."""
@@ -307,7 +307,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
     num_gated = sum(inertial.was_gated)
     if num_gated >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
         note = (
-            f"is left out from here on: it contradicted the images in {num_gated} of the last"
+            f"is left out for good: it contradicted the images in {num_gated} of the last"
             f" {len(inertial.innovations)} steps, by {inertial.excess:.1f} times their variances in"
             " the median"
         )
@@ -505,7 +505,7 @@ def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1
     refused = attempts >= MOST_ATTEMPTS
-    note = f"is left out from here on: it {reason}" if refused else reason
+    note = f"is left out for good: it {reason}" if refused else reason
     tried = replace(inertial, attempts=attempts, note=note, refused=refused)
     return replace(window, inertial=tried)
 

@@ -60,7 +60,8 @@ _ROWS: dict[str, tuple[str, str, str]] = {
         (
             "Average normalised squared error (NEES) of single steps: 6 where their covariance is"
             " consistent, more is overconfident, less is conservative. Truth from GPS and INS is"
-            " noisier than a step of good odometry and drives it far above 6."
+            " noisier than a step of good odometry and drives it far above 6, farther for a better"
+            " odometry; `probevo covariance-check` needs no truth."
         ),
     ),
 }

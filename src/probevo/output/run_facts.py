@@ -34,8 +34,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
     if result.jitter_sigma_rad is not None:
         offset_px = sequence.camera.fu_px * float(result.jitter_sigma_rad[1])
         rig["Rig"] = (
-            f"{jitter_text(result.jitter_sigma_rad)}; all disparities of a frame are off by"
-            f" {readable(offset_px)} px"
+            f"the right camera {jitter_text(result.jitter_sigma_rad)}, which moves all disparities"
+            f" of a frame by σ = {readable(offset_px)} px"
         )
     if is_noticeable(result.right_delay_s):
         rig["Exposures"] = delay_text(result.right_delay_s)
@@ -130,7 +130,10 @@ def field_of_view_deg(camera: StereoCamera) -> float:
 def jitter_text(sigma_rad: FloatArray) -> str:
     """Describe the jitter of the rig: σ of the right camera's pitch, yaw and roll, [3]."""
     pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
-    return f"moves from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll"
+    return (
+        f"turns against the left one from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw,"
+        f" {roll}° in roll"
+    )
 
 
 def delay_text(delay_s: float) -> str:

@@ -116,7 +116,10 @@ def imu_warning(reason: str | None) -> str | None:
     """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
     if not reason:
         return None
-    return f"The IMU {reason}. The path is by images alone: see `probevo info SEQUENCE`."
+    return (
+        f"The IMU {reason}. The path is by images alone. `probevo calibrate-check SEQUENCE` says"
+        " whether its unit, mounting or clock is wrong."
+    )
 
 
 def accelerometer_warning(scale: AccelerometerScale | None) -> str | None:

@@ -166,7 +166,8 @@ def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
     return loader.construct_mapping(node, deep=True).get("data")
 
 
-_OpenCVLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+for _kind in ("opencv-matrix", "opencv-nd-matrix"):  # the second for vectors, by OpenCV 5
+    _OpenCVLoader.add_constructor(f"tag:yaml.org,2002:{_kind}", _opencv_matrix)
 
 
 def _read_xml(path: Path) -> dict[str, Any]:

@@ -139,8 +139,8 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
     else:
         facts["K"] = f"all within ρ = {shape.reach:.3g}"
     facts["ν"] = (
-        f"{float(model.prior_.dof[0]):.3g} of the prior, which has the weight of"
-        f" {shape.prior_counts:g} errors"
+        f"{float(model.prior_.dof[0]):.3g} of the prior, which counts as much as"
+        f" {shape.prior_counts:g} measured errors"
     )
     facts["correlated"] = f"in time: {time_correlation_text(model.time_correlation_ratio)}"
     facts["rig"] = learned_jitter_text(model.jitter_cov)
