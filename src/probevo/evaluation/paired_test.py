@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.evaluation import segments
 from probevo.geometry import se3
 
@@ -219,7 +219,7 @@ def _block_length_of(values: FloatArray) -> float:
 class _Truth:
     """The true poses of K frames that have one."""
 
-    frames: np.ndarray
+    frames: IntArray
     """Their indices, [K]."""
     T_world_cam: FloatArray
     """Their poses, [K, 4, 4], m."""
@@ -237,7 +237,11 @@ class _Truth:
             "final_error_m": distance[:, -1],
         }
         drift = segments.segment_errors(
-            est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(true))
+            est,
+            true,
+            segments.SHORT_LENGTHS_M,
+            starts=np.arange(len(true)),
+            frames=self.frames,
         )
         if len(drift.first):
             errors["short_t_percent"] = 100.0 * drift.translation.mean(axis=-1)
