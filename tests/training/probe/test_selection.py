@@ -14,6 +14,7 @@ from probevo.training.drive import Drive
 from probevo.training.probe.samples import folds_of_steps, gather_samples
 from probevo.training.probe.selection import (
     EXPONENTS,
+    FEWEST_ERRORS,
     NEIGHBORS,
     choose_exponent,
     choose_neighbors,
@@ -235,6 +236,31 @@ def test_steps_that_no_half_can_solve_have_no_say() -> None:
         )
     ]
     assert choose_exponent(blind, [log_sigma]).chosen == 0.0  # no step at all
+
+
+@pytest.mark.parametrize("every", [60, 20])
+def test_a_few_known_errors_do_not_decide_on_gamma(every: int) -> None:
+    """One loop, or a few stretches: γ is that of the drive without any truth."""
+    few = sampled_drive("sparse", every=every)
+    assert len(few.sampler.supervision.stretches) < FEWEST_ERRORS
+    log_sigma = few.drive.phi[:, 0] - few.drive.phi[:, 0].mean()
+    search = choose_exponent([few.sampler], [log_sigma])
+    assert search == choose_exponent([sampled_drive("none").sampler], [log_sigma])
+    assert search.chosen > 0.0
+
+
+@pytest.mark.parametrize("steps", [1, FEWEST_ERRORS - 1])
+def test_of_a_few_steps_gamma_is_0(sampled: SampledDrive, steps: int) -> None:
+    """Their standard error means nothing, and that of one step is 0: chance alone would decide."""
+    whole = sampled.drive
+    used = np.arange(len(whole.used)) < whole.first_of_step[steps]
+    drive = replace(whole, used=whole.used & used)
+    sampler = sampler_of(drive, from_step_to_step(drive.T_curr_prev), sampled.world.camera)
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        search = choose_exponent([sampler], [0.3 * rng.normal(size=len(whole.used))])
+        assert np.ptp(search.errors) > 0.0
+        assert search.chosen == 0.0
 
 
 def learned(sampled: SampledDrive, settings: TrainSettings) -> NearestNeighbors:
