@@ -137,8 +137,8 @@ def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
     samples = gather_samples(iterations, [sampler], TrainSettings(relative=False))
     coordinates = sampler.coordinates[samples.features, 1:]
     values = np.log(samples.alphas)
-    assert choose_neighbors(coordinates, values, samples.left_out).chosen == NEIGHBORS[-1]
-    assert choose_neighbors(coordinates, values, samples.fold).chosen < NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold_by_error).chosen == NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold_by_time).chosen < NEIGHBORS[-1]
 
 
 @dataclass(frozen=True)
@@ -272,12 +272,12 @@ def learned(sampled: SampledDrive, settings: TrainSettings) -> NearestNeighbors:
     )
     values = np.log(samples.alphas)
     coordinates = sampler.coordinates[samples.features]
-    neighbors = int(choose_neighbors(coordinates, values, samples.left_out).chosen)
+    neighbors = int(choose_neighbors(coordinates, values, samples.fold_by_error).chosen)
     own = folds_of_steps(sampler, 0)[drive.step_of_feature]
     means = out_of_fold(
         coordinates,
         values,
-        samples.fold,
+        samples.fold_by_time,
         neighbors=neighbors,
         queries=sampler.coordinates,
         fold_of_query=own,
