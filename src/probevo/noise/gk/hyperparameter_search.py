@@ -189,7 +189,7 @@ def neighbors_of_all(neighbors: int, num_samples: int) -> int:
 
 def _neighbors_ratio(num_samples: int) -> float:
     """Return K of all N samples over K of the search."""
-    return max(1.0, num_samples / MAX_SAMPLES) ** NEIGHBORS_EXPONENT
+    return math.pow(max(1.0, num_samples / MAX_SAMPLES), NEIGHBORS_EXPONENT)
 
 
 class _HeldOut(NamedTuple):
