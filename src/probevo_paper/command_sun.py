@@ -84,8 +84,17 @@ def cells(row: SunRow, without: SunRow) -> tuple[str, ...]:
         f"{row.heading_end_deg / without.heading_end_deg:.2f}",
         f"{row.rot_armse_deg:.2f}",
         f"{row.trans_armse_m:.2f}",
-        "" if row.excluded_at is None else f"{row.excluded_at:.0f}",
+        _exclusion(row),
     )
+
+
+def _exclusion(row: SunRow) -> str:
+    """Say after how many sightings the sensor was excluded, and in which share of the drives."""
+    if row.excluded_after is None:
+        return ""
+    if row.excluded_drives == row.drives:
+        return f"{row.excluded_after:.0f}"
+    return f"{row.excluded_after:.0f}, in {row.excluded_drives} of {row.drives} drives"
 
 
 def _csv(rows: list[SunRow]) -> str:

@@ -51,7 +51,6 @@ DROPOUT = 0.1
 PATIENCE = 10
 PROBABILITY = 0.9
 """Of the regions whose coverage is measured."""
-NAMES = ("dropout", "ensemble", "sigma", "hydra", "hydra-sigma")
 
 
 class Views(NamedTuple):

@@ -77,8 +77,13 @@ class SunRow:
     """Of the attitude: mean over frames of the RMS over its axes (PROBE, Table I)."""
     trans_armse_m: float
     """The same of the position."""
-    excluded_at: float | None = None
-    """Mean number of sightings after which the sensor was excluded; None if it never was."""
+    excluded_after: float | None = None
+    """Number of sightings after which the sensor was excluded, mean over the drives in which it
+    was; None if it never was."""
+    excluded_drives: int = 0
+    """Number of drives in which it was excluded."""
+    drives: int = 1
+    """Number of all drives."""
 
 
 def true_path(settings: SunConfig) -> FloatArray:
@@ -243,7 +248,9 @@ def row_of(
         claimed_deg=math.degrees(math.sqrt(float(np.mean(claims)))),
         rot_armse_deg=math.degrees(float(np.mean(rotations))),
         trans_armse_m=float(np.mean(positions)),
-        excluded_at=float(np.mean(excluded)) if excluded else None,
+        excluded_after=float(np.mean(excluded)) if excluded else None,
+        excluded_drives=len(excluded),
+        drives=len(drives),
     )
 
 
@@ -287,7 +294,7 @@ def _row_with(
             drive.sun,
             sigma_rad=sigma_rad,
             every=every,
-            seed=seed + index,
+            seed=_sensor_seed(seed, index),
             fault=fault,
         )
         paths.append(fused_path(drive, sensor))
@@ -299,3 +306,11 @@ def _row_with(
     if fault is not None:
         name += f", {fault}"
     return row_of(name, drives, paths, bounds=bounds, every=every)
+
+
+def _sensor_seed(seed: int, index: int) -> int:
+    """Return the seed of the sensor of a drive, which shares no noise with another drive or seed.
+
+    Nor does it with the drives themselves, whose key is (seed, index).
+    """
+    return int(np.random.SeedSequence([seed, index, 1]).generate_state(1, np.uint64)[0])

@@ -193,6 +193,10 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
         ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"],
         ["all within --gk.reach contribute"],
     ),
+    "a bias as published": (
+        ["--kind", "gk", "--gk.variant", "published", "--gk.bias"],
+        ["--gk.bias: as published, the errors have no bias.", "--gk.variant robust"],
+    ),
     "half a truth": (
         ["--kind", "gk", "--gk.truth-sigma-deg", "1"],
         ["--gk.truth-sigma-deg: it means nothing without --gk.truth-sigma-m."],

@@ -64,7 +64,7 @@ def test_shares_inside_are_those_of_the_coverage_and_grow_with_the_ellipsoid() -
 
 @pytest.mark.parametrize("count", [1, 2, 10, 463, 4540])
 def test_interval_of_the_share_is_that_of_the_binomial(count: int) -> None:
-    levels = np.arange(1, 100) / 100.0
+    levels = np.arange(101) / 100.0
     low, high = Consistency(np.full(count, 6.0)).share_interval(levels)
     np.testing.assert_array_equal(low, binom.ppf(0.025, count, levels) / count)
     np.testing.assert_array_equal(high, binom.ppf(0.975, count, levels) / count)

@@ -103,3 +103,13 @@ def test_at_rest() -> None:
 def test_lengths_must_agree() -> None:
     with pytest.raises(InputError, match="has 4 poses, the estimate has 5"):
         evaluate(np.tile(np.eye(4), (5, 1, 1)), np.tile(np.eye(4), (4, 1, 1)))
+
+
+def test_sparse_truth_does_not_inflate_the_drift() -> None:
+    """A path that is 1 % too long, with truth every 25 m."""
+    motions = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (300, 1))
+    true = se3.chain_motions(se3.exp(motions))
+    true[np.arange(301) % 25 != 0] = np.nan
+    metrics = evaluate(se3.chain_motions(se3.exp(1.01 * motions)), true)
+    assert metrics.short_t_percent == pytest.approx(1.0, rel=1e-6)
+    assert metrics.kitti_t_percent == pytest.approx(1.0, rel=1e-6)

@@ -55,9 +55,9 @@ def test_a_run_that_turns_too_far_is_found_and_its_reduction_is_that_of_the_erro
     errors = [
         evaluate(se3.chain_motions(motions), truth).short_r_deg_per_m for motions in (good, bad)
     ]
-    assert [found.first, found.second] == pytest.approx(errors, rel=1e-9)
+    assert [found.error_a, found.error_b] == pytest.approx(errors, rel=1e-9)
     value, low, high = found.reduction_percent
-    assert value == pytest.approx(100.0 * (1.0 - found.first / found.second))
+    assert value == pytest.approx(100.0 * (1.0 - found.error_a / found.error_b))
     assert 0.0 < low < value < high
 
 
@@ -71,7 +71,7 @@ def test_all_figures_are_those_of_the_metrics() -> None:
     truth[[0, 7, 8, 39]] = np.nan
     found = paired_differences(a, b, truth, rng, draws=9)
     metrics = evaluate(se3.chain_motions(a), truth)
-    assert {name: found[name].first for name in FIGURES} == pytest.approx(
+    assert {name: found[name].error_a for name in FIGURES} == pytest.approx(
         {name: getattr(metrics, name) for name in FIGURES}, rel=1e-9
     )
 
@@ -81,6 +81,19 @@ def test_equal_runs_do_not_differ() -> None:
     found = paired_differences(T, T, se3.chain_motions(T), np.random.default_rng(0), draws=19)
     assert not any(difference.is_significant for difference in found.values())
     assert {difference.p_value for difference in found.values()} == {1.0}
+
+
+def test_exchanges_that_give_the_very_difference_of_the_runs_count() -> None:
+    """Runs that differ in one step have the same |A − B| after each exchange, but for rounding."""
+    rng = np.random.default_rng(6)
+    T = true_motions(40)
+    a = noisy(T, rng)
+    b = a.copy()
+    b[17] = noisy(T[17:18], rng)[0]
+    found = paired_differences(a, b, se3.chain_motions(T), rng)
+    for difference in found.values():
+        assert difference.p_value == 1.0
+        assert difference.margin == abs(difference.error_a - difference.error_b)
 
 
 def test_too_few_steps_or_true_poses_give_nothing() -> None:

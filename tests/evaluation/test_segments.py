@@ -70,6 +70,51 @@ def test_matches_the_devkit_written_out() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("every", [1, 5, 10, 50, 100])
+def test_a_scale_error_is_the_same_however_sparse_the_truth_is(every: int) -> None:
+    """Steps of 1 m. With truth at every frame a segment is one step too long, as in the devkit;
+    with sparser truth it is as much too long at most, whatever the gap."""
+    frames = np.arange(0, 301, every)
+    errors = segment_errors(
+        straight_line(301, 1.01)[frames],
+        straight_line(301, 1.0)[frames],
+        SHORT_LENGTHS_M,
+        starts=np.arange(len(frames)),
+        frames=frames,
+    )
+    assert errors.mean_translation_percent == pytest.approx(1.0, rel=0.06)
+    if every >= 50:
+        np.testing.assert_allclose(errors.translation, 0.01, rtol=1e-9)
+
+
+def test_a_segment_after_a_gap_ends_as_without_it_if_it_is_a_step_too_long() -> None:
+    """Truth of frames 0 and 11 alone: 11 m are what the devkit takes for 10 m, but frame 13 is too
+    far."""
+    line = straight_line(14, 1.0)
+    for last, length_m in ((11, 10.0), (13, 13.0)):
+        frames = np.array([0, last])
+        est = straight_line(14, 1.01)[frames]
+        errors = segment_errors(est, line[frames], (10.0,), np.array([0]), frames=frames)
+        np.testing.assert_allclose(errors.translation, 0.01 * last / length_m, rtol=1e-9)
+        np.testing.assert_array_equal(errors.length_m, 10.0)
+
+
+def test_gaps_elsewhere_change_no_bit() -> None:
+    """Only the gap at the end of a segment counts."""
+    rng = np.random.default_rng(1)
+    true = se3.chain_motions(se3.exp(rng.normal([0, 0, 0.8, 0, 0.03, 0], 0.1, (150, 6))))
+    est = se3.chain_motions(se3.exp(rng.normal([0, 0, 0.8, 0, 0.03, 0], 0.1, (150, 6))))
+    frames = np.arange(len(true))
+    dense = segment_errors(est, true, SHORT_LENGTHS_M, starts=frames)
+    given = segment_errors(est, true, SHORT_LENGTHS_M, starts=frames, frames=frames)
+    np.testing.assert_array_equal(dense.translation, given.translation)
+    late = segment_errors(
+        est, true, SHORT_LENGTHS_M, starts=frames, frames=np.where(frames < 5, frames, frames + 9)
+    )
+    ends_later = late.first >= 5
+    np.testing.assert_array_equal(late.translation[ends_later], dense.translation[ends_later])
+
+
 def _chain(steps: FloatArray) -> FloatArray:
     poses = [steps[0]]
     for step in steps[1:]:

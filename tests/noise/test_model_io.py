@@ -12,7 +12,7 @@ from safetensors.numpy import load, save
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.errors import InputError
-from probevo.noise import Fixed
+from probevo.noise import Fixed, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import FORMAT, ModelFile, write_model_file
 from probevo.noise.model_io import load_model, save_model
@@ -57,6 +57,12 @@ def path(tmp_path: Path) -> Path:
     [
         {},
         {"base": Fixed()},
+        {"base": Fixed(4.0 * np.eye(4))},
+        {"base": StudentT(dof=7.0)},
+        {"base": StudentT(np.inf, np.diag([1.0, 2.0, 3.0, 4.0]), "residual")},
+        {"base": StudentT(np.float32(3.0), time_correlation_ratio=1.5, camera=CAMERA)},
+        {"base": StudentT(jitter_cov=1e-6 * np.eye(3))},
+        {"neighbors": np.int64(20), "exponent": np.float32(4.0)},
         {"camera": None},
         {"average": "arithmetic"},
         {"exponent": 0.0},
@@ -71,8 +77,9 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
     queries = places(50, seed=2)
     one = model.predict(queries)
     other = back.predict(queries)
-    for name in ("scale", "dof", "bias"):
-        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+    for name in ("scale", "dof", "bias", "time_correlated", "jitter_cov"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.refers_to == other.refers_to
     for name in (
         "neighbors",
         "exponent",
@@ -88,6 +95,21 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
     again = path.with_name("again.safetensors")
     save_model(back, again)
     assert again.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(("name", "base"), [("fixed", Fixed()), ("student-t", StudentT())])
+def test_a_file_that_only_names_its_base_has_the_default_one(
+    path: Path, name: str, base: Fixed | StudentT
+) -> None:
+    """Earlier versions wrote such files."""
+    model = trained(base=base)
+    file = model.to_file()
+    arrays = {key: array for key, array in file.arrays.items() if not key.startswith("base_")}
+    write_model_file(path, ModelFile(file.kind, arrays, {**file.facts, "base": {"name": name}}))
+    back = load_model(path)
+    assert isinstance(back, NearestNeighbors)
+    assert type(back.base) is type(base)
+    np.testing.assert_array_equal(back.predict(places()).scale, model.predict(places()).scale)
 
 
 def test_it_is_found_by_its_path(path: Path) -> None:

@@ -12,7 +12,9 @@ from probevo.cli.main import main
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.sensor import NoMeasurement
-from probevo_paper.sun import attitude_bound, fused_path, row_of, simulate_drive
+from probevo_paper import sun
+from probevo_paper.command_sun import cells
+from probevo_paper.sun import SunDrive, SunPath, attitude_bound, fused_path, row_of, simulate_drive
 from probevo_paper.sun_config import SunConfig
 from probevo_sim.sun_sensor import SunSensor
 
@@ -71,6 +73,52 @@ def test_ten_degrees_every_tenth_frame_bound_the_heading() -> None:
         else:
             assert all(path.excluded_at is not None for path in paths)
             assert row.heading_rms_deg <= 1.05 * without.heading_rms_deg
+
+
+def at_rest(frames: int = 20) -> SunDrive:
+    return SunDrive(
+        frames=(),
+        T_world_cam=np.tile(np.eye(4), (frames, 1, 1)),
+        motions=(),
+        sun=np.array([0.0, 0.0, 1.0]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("excluded_at", "text"),
+    [
+        ((None, None, None), ""),
+        ((None, None, 10), "1, in 1 of 3 drives"),
+        ((10, 20, 30), "2"),
+    ],
+)
+def test_a_row_says_in_how_many_drives_the_sensor_was_excluded(
+    excluded_at: tuple[int | None, ...], text: str
+) -> None:
+    drive = at_rest()
+    paths = []
+    for frame in excluded_at:
+        T_world_cam = drive.T_world_cam @ se3.exp(np.full(6, 0.01))
+        cov = np.tile(np.eye(6), (20, 1, 1))
+        paths.append(SunPath(T_world_cam=T_world_cam, cov=cov, excluded_at=frame))
+    row = row_of("sun", [drive] * 3, paths, every=10)
+    assert cells(row, row)[-1] == text
+
+
+def test_the_noise_of_each_drive_and_seed_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drive 1 of seed 0 shares none with drive 0 of seed 1."""
+    drive = at_rest()
+    measured: list[bytes] = []
+
+    def keep(drive: SunDrive, sensor: SunSensor) -> SunPath:
+        measured.append(sensor.measured(1).tobytes())
+        return SunPath(T_world_cam=drive.T_world_cam, cov=np.zeros((20, 6, 6)), excluded_at=None)
+
+    monkeypatch.setattr(sun, "fused_path", keep)
+    monkeypatch.setattr(sun, "attitude_bound", lambda *_: np.zeros((20, 6, 6)))
+    for seed in range(3):
+        sun._row_with([drive] * 3, 10.0, 1, seed=seed)
+    assert len(set(measured)) == len(measured) == 9
 
 
 def test_it_writes_a_row_for_each_sensor_and_the_same_bytes_again(

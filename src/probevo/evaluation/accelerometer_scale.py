@@ -14,6 +14,7 @@ Gravity is a separate unknown in each block of the path, so that a drifting atti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,22 @@ FEWEST = 8
 """Least number of velocity changes, beyond the number of unknowns."""
 LARGEST_SIGMA = 0.1
 """Largest σ of a ratio that is reported: without accelerations, the scale is unobservable."""
+
+
+@dataclass(frozen=True)
+class VelocityChange:
+    """The change of the mean velocity over a pair of intervals, by images and accelerometer."""
+
+    seen: FloatArray
+    """D[p], by the images, [3], m/s."""
+    measured: FloatArray
+    """∫ w C f dt less D[C l], by the accelerometer, [3], m/s."""
+    turn: FloatArray
+    """∫ w C dt, which its bias is multiplied by, [3, 3], s."""
+    start_s: float
+    """Begin of the first interval, since the first frame."""
+    weight_s: float
+    """∫ w dt, which gravity is multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -84,50 +101,83 @@ def accelerometer_scale(
     # Attitudes between the frames by a spline; specific force in the axes of the camera, with bias.
     time_s = 1e-9 * (stamps_ns - stamps_ns[0])
     attitude = RotationSpline(time_s, Rotation.from_matrix(T_world_cam[:, :3, :3]))
-    sampled_s = 1e-9 * (stream.stamps_ns - stamps_ns[0])
-    force = stream.accel_m_s2 @ calibration.C_cam_imu.T
-    place_m = T_world_cam[:, :3, 3]
-    lever_m = T_world_cam[:, :3, :3] @ calibration.T_cam_imu[:3, 3]
-    # Per pair of intervals: D[p], the integral less D[C l], ∫ w C dt, its begin, and ∫ w dt.
-    seen = []
-    measured = []
-    turns = []
-    starts_s = []
-    weights = []
+    samples = _Samples(
+        time_s=1e-9 * (stream.stamps_ns - stamps_ns[0]),
+        force_m_s2=stream.accel_m_s2 @ calibration.C_cam_imu.T,
+    )
+    path = _Path(
+        time_s=time_s,
+        place_m=T_world_cam[:, :3, 3],
+        lever_m=T_world_cam[:, :3, :3] @ calibration.T_cam_imu[:3, 3],
+        attitude=attitude,
+    )
+    changes = []
     for i, j, k in triples:
-        # Use a pair only if samples cover it without a hole, and no force is implausible.
-        inside = slice(*np.searchsorted(sampled_s, [time_s[i], time_s[k]]))
-        t_s = sampled_s[inside]
-        if len(t_s) < FEWEST_SAMPLES or not (np.abs(force[inside]) < LARGEST_FORCE_M_S2).all():
-            continue
-        gaps_s = np.diff(np.concatenate([[time_s[i]], t_s, [time_s[k]]]))
-        if gaps_s.max() > LONGEST_HOLE * np.median(gaps_s):
-            continue
-        first_s = time_s[j] - time_s[i]
-        second_s = time_s[k] - time_s[j]
-        # The triangle w is 0 at both ends of the pair and 1 where the intervals meet: w' = 1/T₁,
-        # then −1/T₂, so that integration by parts of ∫ w p̈ dt leaves D[p].
-        w = np.minimum((t_s - time_s[i]) / first_s, (time_s[k] - t_s) / second_s)
-        w *= 0.5 * (first_s + second_s) / w.sum()  # its integral, whatever the samples' places
-        C_world_cam = attitude(t_s).as_matrix()
-        seen.append(_change(place_m, i, j, k, first_s=first_s, second_s=second_s))
-        lever = _change(lever_m, i, j, k, first_s=first_s, second_s=second_s)
-        measured.append(np.einsum("n,nij,nj->i", w, C_world_cam, force[inside]) - lever)
-        turns.append(np.einsum("n,nij->ij", w, C_world_cam))
-        starts_s.append(time_s[i])
-        weights.append(0.5 * (first_s + second_s))
-    if not seen:
+        change = _velocity_change(path, samples, i, j=j, k=k)
+        if change is not None:
+            changes.append(change)
+    if not changes:
         return None
-    # Number the blocks that have a pair consecutively.
-    block = (np.array(starts_s) // BLOCK_S).astype(np.int64)
-    _, block = np.unique(block, return_inverse=True)
-    return _regressed(
-        np.array(seen),
-        np.array(measured),
-        np.array(turns),
-        block=block,
-        weight_s=np.array(weights),
-        bias_sigma_m_s2=calibration.accel_bias_sigma_m_s2,
+    return _regressed(changes, bias_sigma_m_s2=calibration.accel_bias_sigma_m_s2)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The n samples of the accelerometer."""
+
+    time_s: FloatArray
+    """Since the first frame, [n]."""
+    force_m_s2: FloatArray
+    """Specific force in the axes of the camera, with bias, [n, 3]."""
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The path of the camera by images, over N frames."""
+
+    time_s: FloatArray
+    """Since the first frame, [N]."""
+    place_m: FloatArray
+    """Position of the camera in the world, p, [N, 3]."""
+    lever_m: FloatArray
+    """Lever arm of the IMU in the axes of the world, C l, [N, 3]."""
+    attitude: RotationSpline
+    """C_world_cam at any time since the first frame."""
+
+
+def _velocity_change(
+    path: _Path, samples: _Samples, i: int, *, j: int, k: int
+) -> VelocityChange | None:
+    """Compare a pair of intervals, from frame i to j and from j to k, with the accelerometer.
+
+    Returns:
+        The change; None unless samples cover the pair without a hole, and each force is plausible.
+    """
+    start_s = path.time_s[i]
+    middle_s = path.time_s[j]
+    end_s = path.time_s[k]
+    inside = slice(*np.searchsorted(samples.time_s, [start_s, end_s]))
+    t_s = samples.time_s[inside]
+    force = samples.force_m_s2[inside]
+    if len(t_s) < FEWEST_SAMPLES or not (np.abs(force) < LARGEST_FORCE_M_S2).all():
+        return None
+    gaps_s = np.diff(np.concatenate([[start_s], t_s, [end_s]]))
+    if gaps_s.max() > LONGEST_HOLE * np.median(gaps_s):
+        return None
+    first_s = middle_s - start_s
+    second_s = end_s - middle_s
+    # The triangle w is 0 at both ends of the pair and 1 where the intervals meet: w' = 1/T₁, then
+    # −1/T₂, so that integration by parts of ∫ w p̈ dt leaves D[p].
+    w = np.minimum((t_s - start_s) / first_s, (end_s - t_s) / second_s)
+    w *= 0.5 * (first_s + second_s) / w.sum()  # its integral, whatever the samples' places
+    C_world_cam = path.attitude(t_s).as_matrix()
+    lever = _change(path.lever_m, i, j, k, first_s=first_s, second_s=second_s)
+    return VelocityChange(
+        seen=_change(path.place_m, i, j, k, first_s=first_s, second_s=second_s),
+        measured=np.einsum("n,nij,nj->i", w, C_world_cam, force) - lever,
+        turn=np.einsum("n,nij->ij", w, C_world_cam),
+        start_s=start_s,
+        weight_s=0.5 * (first_s + second_s),
     )
 
 
@@ -158,16 +208,18 @@ def _change(
 
 
 def _regressed(
-    seen: FloatArray,
-    measured: FloatArray,
-    turns: FloatArray,
-    *,
-    block: IntArray,
-    weight_s: FloatArray,
-    bias_sigma_m_s2: float,
+    changes: Sequence[VelocityChange], *, bias_sigma_m_s2: float
 ) -> AccelerometerScale | None:
-    """Regress D[p], [M, 3], on the accelerometer's integral, gravity of each block, and the
+    """Regress D[p] of M ≥ 1 changes on the accelerometer's integral, gravity of each block, and the
     bias."""
+    seen = np.array([change.seen for change in changes])
+    measured = np.array([change.measured for change in changes])
+    turns = np.array([change.turn for change in changes])
+    weight_s = np.array([change.weight_s for change in changes])
+    # Number the blocks that have a change consecutively.
+    start_s = np.array([change.start_s for change in changes])
+    block = (start_s // BLOCK_S).astype(np.int64)
+    _, block = np.unique(block, return_inverse=True)
     # D[p] = (1/s) (integral − D[C l]) + (g/s) ∫ w dt − (∫ w C dt) b/s: linear in 1/s, which is the
     # ratio wanted, in gravity over s of each block, and in the bias over s.
     count = len(seen)

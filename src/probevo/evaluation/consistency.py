@@ -177,8 +177,8 @@ def _binomial_quantile(q: float, count: int, probability: FloatArray) -> FloatAr
 
     ``scipy.stats.binom.ppf`` does the same, but takes ten times as long to import.
     """
-    # bdtrik is the root of the distribution function, continued to real k.
-    k = np.ceil(bdtrik(q, count, probability))
+    # bdtrik is the root of the distribution function, continued to real k; NaN without any success.
+    k = np.where(probability > 0.0, np.ceil(bdtrik(q, count, probability)), 0.0)
     # The root above may be rounded up by one too many.
     k_below = np.maximum(k - 1.0, 0.0)
     return np.asarray(np.where(bdtr(k_below, count, probability) >= q, k_below, k))

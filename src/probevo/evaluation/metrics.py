@@ -30,13 +30,16 @@ class Metrics:
     rot_armse_rad: float | None = None
     """ARMSE of the attitude: as ``armse_m``, for the rotation vector of the attitude error."""
     path_length_m: float | None = None
-    """Length of the true path."""
+    """Length of the polyline through the known true positions: less than that of the true path
+    where there are few of them."""
     ate_rmse_m: float | None = None
     """Absolute trajectory error, RMS over frames after the best rigid alignment."""
     ate_unaligned_rmse_m: float | None = None
     """RMS of the position error with the first poses made equal, instead of an alignment."""
     kitti_t_percent: float | None = None
-    """Translation error over segments of 100, 200 … 800 m from every tenth frame."""
+    """Translation error over segments of 100, 200 … 800 m from every tenth frame. Where the truth
+    is sparse, segments are longer (``segments.segment_errors``), as those of ``short_t_percent``
+    are."""
     kitti_r_deg_per_m: float | None = None
     """Rotation error over the same segments."""
     short_t_percent: float | None = None
@@ -115,10 +118,14 @@ def evaluate(
     e_m = trajectory_errors.position_errors(est, true)
     # KITTI's segments start at every tenth frame of the recording, not of those known.
     kitti = segments.segment_errors(
-        est, true, segments.KITTI_LENGTHS_M, starts=np.flatnonzero(frames % 10 == 0)
+        est,
+        true,
+        segments.KITTI_LENGTHS_M,
+        starts=np.flatnonzero(frames % 10 == 0),
+        frames=frames,
     )
     short = segments.segment_errors(
-        est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(frames))
+        est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(frames)), frames=frames
     )
     # Errors of single steps: both poses of a step have to be known, so that all frames go in.
     rpe = trajectory_errors.rpe_rmse(T_world_cam_est, T_world_cam_true)

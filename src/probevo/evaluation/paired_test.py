@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.evaluation import segments
 from probevo.geometry import se3
 
@@ -28,7 +28,8 @@ DRAWS = 999
 _DRAWS_AT_ONCE = 50
 """Draws that are computed together: what limits the memory."""
 _ROUNDING = 1e-9
-"""Variation below this, relative to the largest value, is rounding."""
+"""Variation below this, relative to the largest value, is rounding, and so is the difference of two
+errors, relative to these."""
 _FEWEST_STEPS = 10
 """Fewer steps than this give too few exchanges for any statement."""
 
@@ -37,15 +38,16 @@ _FEWEST_STEPS = 10
 class PairedDifference:
     """An error of a run A and of a run B over the same recording."""
 
-    first: float
+    error_a: float
     """Error of A."""
-    second: float
+    error_b: float
     """Error of B."""
     margin: float
     """Quantile of |A − B| under the hypothesis that both are equally good, at the confidence of the
     test."""
     p_value: float
-    """Share of the exchanges whose |A − B| is at least that of the runs, themselves included."""
+    """Share of the exchanges whose |A − B| is at least that of the runs, themselves included; what
+    differs by rounding is equal."""
     confidence: float
     """Probability that the margin holds if the hypothesis does."""
 
@@ -60,8 +62,8 @@ class PairedDifference:
 
         The interval is that of a shift: the margin to both sides of the difference.
         """
-        percent = 100.0 / self.second if self.second > 0.0 else 0.0  # both are without error
-        difference = self.second - self.first
+        percent = 100.0 / self.error_b if self.error_b > 0.0 else 0.0  # both are without error
+        difference = self.error_b - self.error_a
         return (
             difference * percent,
             (difference - self.margin) * percent,
@@ -70,8 +72,8 @@ class PairedDifference:
 
 
 def paired_differences(
-    first: FloatArray,
-    second: FloatArray,
+    motions_a: FloatArray,
+    motions_b: FloatArray,
     T_world_cam_true: FloatArray,
     rng: np.random.Generator,
     *,
@@ -81,8 +83,8 @@ def paired_differences(
     """Test for each of ``FIGURES`` whether two runs over N frames differ.
 
     Args:
-        first: motions T_curr_prev of run A, [N-1, 4, 4], m.
-        second: motions of run B, [N-1, 4, 4], m.
+        motions_a: motions T_curr_prev of run A, [N-1, 4, 4], m.
+        motions_b: motions of run B, [N-1, 4, 4], m.
         T_world_cam_true: true poses, [N, 4, 4], m, in any world frame; NaN where unknown.
         rng: what draws the exchanges.
         confidence: probability that runs which are equally good are not found to differ.
@@ -92,36 +94,56 @@ def paired_differences(
         The differences of the figures that are defined; nothing with fewer than ten steps.
     """
     known = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
-    if len(known) < 2 or len(first) < _FEWEST_STEPS:
+    if len(known) < 2 or len(motions_a) < _FEWEST_STEPS:
         return {}
-    # The difference A − B of each figure as the runs are
     truth = _Truth(known, T_world_cam_true[known])
-    block = mean_block_length(se3.log(first @ se3.inverse(second)))
-    as_run = np.zeros((1, len(first)), bool)
-    observed = truth.errors(_path(first, second, as_run))
-    against = truth.errors(_path(second, first, as_run))
-    # The same after random exchanges of the motions of blocks of steps
-    drawn: dict[str, list[FloatArray]] = {name: [] for name in observed}
+    steps = len(motions_a)
+
+    def errors_after(exchanged: BoolArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+        """Compute the errors of A and of B after R exchanges, [R, N-1]: [R] for each figure."""
+        return (
+            truth.errors(_path(motions_a, motions_b, exchanged)),
+            truth.errors(_path(motions_b, motions_a, exchanged)),
+        )
+
+    # The errors of the runs as they are, and after random exchanges of the motions of blocks.
+    errors_a, errors_b = errors_after(np.zeros((1, steps), bool))
+    block = mean_block_length(se3.log(motions_a @ se3.inverse(motions_b)))
+    drawn: dict[str, list[FloatArray]] = {name: [] for name in errors_a}
     for start in range(0, draws, _DRAWS_AT_ONCE):
         count = min(_DRAWS_AT_ONCE, draws - start)
-        exchanged = random_blocks(count, len(first), block, rng)
-        errors = truth.errors(_path(first, second, exchanged))
-        other_errors = truth.errors(_path(second, first, exchanged))
-        for name, values in errors.items():
-            drawn[name].append(values - other_errors[name])
-    found = {}
-    for name, (value,) in observed.items():
-        (other,) = against[name]
-        # The runs as they are are one of the exchanges, so that the level of the test is exact.
-        differences = np.abs(np.concatenate([*drawn[name], [value - other]]))
-        found[name] = PairedDifference(
-            first=float(value),
-            second=float(other),
-            margin=float(np.quantile(differences, confidence, method="higher")),
-            p_value=float(np.mean(differences >= abs(value - other))),
+        drawn_a, drawn_b = errors_after(random_blocks(count, steps, block, rng))
+        for name, differences in drawn.items():
+            differences.append(drawn_a[name] - drawn_b[name])
+    return {
+        name: _compared(
+            float(errors_a[name][0]),
+            float(errors_b[name][0]),
+            np.concatenate(differences),
             confidence=confidence,
         )
-    return found
+        for name, differences in drawn.items()
+    }
+
+
+def _compared(
+    error_a: float, error_b: float, drawn: FloatArray, *, confidence: float
+) -> PairedDifference:
+    """Compare the difference of two errors with those after R exchanges, [R]."""
+    as_run = abs(error_a - error_b)
+    # The runs as they are are one of the exchanges, so that the level of the test is exact.
+    differences = np.append(np.abs(drawn), as_run)
+    # Many exchanges may give the very difference of the runs, as where these differ in few steps.
+    # Ties count, whatever the rounding of either path.
+    is_tie = np.abs(differences - as_run) <= _ROUNDING * max(error_a, error_b)
+    differences[is_tie] = as_run
+    return PairedDifference(
+        error_a=error_a,
+        error_b=error_b,
+        margin=float(np.quantile(differences, confidence, method="higher")),
+        p_value=float(np.mean(differences >= as_run)),
+        confidence=confidence,
+    )
 
 
 def random_blocks(count: int, steps: int, block: float, rng: np.random.Generator) -> BoolArray:
@@ -197,7 +219,7 @@ def _block_length_of(values: FloatArray) -> float:
 class _Truth:
     """The true poses of K frames that have one."""
 
-    frames: np.ndarray
+    frames: IntArray
     """Their indices, [K]."""
     T_world_cam: FloatArray
     """Their poses, [K, 4, 4], m."""
@@ -215,7 +237,11 @@ class _Truth:
             "final_error_m": distance[:, -1],
         }
         drift = segments.segment_errors(
-            est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(true))
+            est,
+            true,
+            segments.SHORT_LENGTHS_M,
+            starts=np.arange(len(true)),
+            frames=self.frames,
         )
         if len(drift.first):
             errors["short_t_percent"] = 100.0 * drift.translation.mean(axis=-1)
@@ -223,11 +249,11 @@ class _Truth:
         return errors
 
 
-def _path(own: FloatArray, other: FloatArray, exchanged: BoolArray) -> FloatArray:
-    """Compound R paths, [R, N, 4, 4], with the other's motions where exchanged, [R, N-1]."""
-    T_prev_curr = np.where(exchanged[..., None, None], se3.inverse(other), se3.inverse(own))
-    poses = np.empty((len(exchanged), len(own) + 1, 4, 4))
+def _path(motions: FloatArray, rival: FloatArray, exchanged: BoolArray) -> FloatArray:
+    """Compound R paths, [R, N, 4, 4], with the rival's motions where exchanged, [R, N-1]."""
+    T_prev_curr = np.where(exchanged[..., None, None], se3.inverse(rival), se3.inverse(motions))
+    poses = np.empty((len(exchanged), len(motions) + 1, 4, 4))
     poses[:, 0] = np.eye(4)
-    for k in range(len(own)):
+    for k in range(len(motions)):
         poses[:, k + 1] = poses[:, k] @ T_prev_curr[:, k]
     return poses

@@ -126,9 +126,10 @@ class StudentT:
     def to_file(self) -> ModelFile:
         """Return the content of the file of this model."""
         facts = {
-            "dof": "inf" if np.isinf(self.dof_) else self.dof_,
+            # JSON takes no infinity, and no numbers of NumPy.
+            "dof": "inf" if np.isinf(self.dof_) else float(self.dof_),
             "refers_to": self.refers_to,
-            "time_correlation_ratio": self.time_correlation_ratio,
+            "time_correlation_ratio": float(self.time_correlation_ratio),
             **origin_facts(self.camera, self.training),
         }
         arrays: dict[str, AnyArray] = {"scale": np.asarray(self.scale_, dtype=np.float64)}

@@ -1,4 +1,4 @@
-"""Maximum a posteriori fits of Student-t distributions to weighted errors, many at once.
+"""Fits of Student-t distributions to weighted errors, shrunk towards a prior, many at once.
 
 A Student-t is a Gaussian whose precision has a Gamma distribution, which leads to the EM algorithm
 of Liu & Rubin (1995). Given bias b, scale Σ and degrees of freedom ν, the E-step gives the error e
@@ -8,8 +8,11 @@ the expected precision, or weight,
 
 where U is the covariance of e (zero if it is known exactly). The M-step takes b and Σ as moments of
 the errors under the weights k w, with k the kernel, and ν as the root of the derivative of the
-likelihood. A prior counts as further errors of weight one. The static model is a fit to all errors
-with k = 1; the generalized kernel fits the neighbours of each place.
+likelihood. A prior counts as further errors of weight one, and the scale is the moment over Σ k w
+(PX-EM). Without a prior, this converges to the maximum of the likelihood. With one, it is no
+maximum a posteriori: the prior counts less where the errors are far smaller than it says. The
+static model is a fit to all errors with k = 1; the generalized kernel fits the neighbours of each
+place.
 """
 
 from __future__ import annotations

@@ -64,32 +64,33 @@ def _dof_root(mean_log_weight: float) -> float:
     # Bracket the root; without a change of sign, the likelihood is largest at a bound.
     low = math.log(MIN_DOF)
     high = math.log(MAX_DOF)
-    above = _dof_slope(MIN_DOF) + mean_log_weight
-    below = _dof_slope(MAX_DOF) + mean_log_weight
-    if below >= 0.0:
+    slope_at_low = _dof_slope(MIN_DOF) + mean_log_weight
+    slope_at_high = _dof_slope(MAX_DOF) + mean_log_weight
+    if slope_at_high >= 0.0:
         return MAX_DOF
-    if above <= 0.0:
+    if slope_at_low <= 0.0:
         return MIN_DOF
     middle = low
-    side = 0
+    # The end that the last iteration has not moved: 1 the high one, −1 the low one.
+    unchanged_end = 0
     for _ in range(60):
         prev_middle = middle
-        middle = (low * below - high * above) / (below - above)
+        middle = (low * slope_at_high - high * slope_at_low) / (slope_at_high - slope_at_low)
         if abs(middle - prev_middle) < DOF_TOLERANCE:
             break
         # The root is between low, where the derivative is positive, and high, where it is negative.
         # Illinois: halve the value at an end that stays for two iterations, so that both converge.
-        value = _dof_slope(math.exp(middle)) + mean_log_weight
-        if value > 0.0:
+        slope = _dof_slope(math.exp(middle)) + mean_log_weight
+        if slope > 0.0:
             low = middle
-            above = value
-            below = below * 0.5 if side == 1 else below
-            side = 1
+            slope_at_low = slope
+            slope_at_high = slope_at_high * 0.5 if unchanged_end == 1 else slope_at_high
+            unchanged_end = 1
         else:
             high = middle
-            below = value
-            above = above * 0.5 if side == -1 else above
-            side = -1
+            slope_at_high = slope
+            slope_at_low = slope_at_low * 0.5 if unchanged_end == -1 else slope_at_low
+            unchanged_end = -1
     return math.exp(middle)
 
 
@@ -305,13 +306,15 @@ def fit_all(
 ) -> None:
     """Fill in ``fitted`` with the fit to each neighbourhood.
 
-    The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the limit is the
-    same, and reached in far fewer iterations. The prior counts as errors of weight one whose mean
-    square is its scale.
+    The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998), which takes far
+    fewer iterations. Without a prior, the limit is the same. The prior counts as errors of weight
+    one whose mean square is its scale; against Σ k w, it counts less than against Σ k where the
+    errors are far smaller than it says, since their weights are then up to (ν + d)/ν.
     """
     has_bias = robust and prior.bias_counts < np.inf
     learns_dof = robust and prior.dof_counts < np.inf
-    prior_log_weight = -_dof_slope(prior.dof) if learns_dof else 0.0
+    # Mean of ln w − w of the errors that the prior ν counts as: those for which it is the root.
+    prior_mean_log_weight = -_dof_slope(prior.dof) if learns_dof else 0.0
     # Work space for the largest neighbourhood.
     W = np.empty((4, 4))
     lower = np.zeros((4, 4))
@@ -358,11 +361,10 @@ def fit_all(
                         first_moment[i] / (sum_weights + prior.bias_counts)
                         - prior.bias_counts / (sum_weights + prior.bias_counts) * b[i]
                     )
-            # M-step for ν, whose prior counts as errors that have its mean log weight: those for
-            # which the prior ν is the root.
+            # M-step for ν, whose prior counts as further errors.
             if learns_dof:
                 nu = _dof_root(
-                    (sum_log_weights - sum_weights + prior.dof_counts * prior_log_weight)
+                    (sum_log_weights - sum_weights + prior.dof_counts * prior_mean_log_weight)
                     / (sum_kernel + prior.dof_counts)
                 )
         fitted.dof[c] = nu

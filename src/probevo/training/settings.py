@@ -90,9 +90,9 @@ class KernelSettings(Settings):
     bias: bool = Field(
         False,
         description=(
-            "Learn the mean of errors too, not only their scatter. It makes residuals more likely,"
-            " but without truth a bias cannot be separated from a motion, and each EM iteration"
-            " moves both a little further."
+            "Learn the mean of errors too, not only their scatter, in the robust variant. It makes"
+            " residuals more likely, but without truth a bias cannot be separated from a motion,"
+            " and each EM iteration moves both a little further."
         ),
     )
     centers: int = Field(

@@ -59,6 +59,19 @@ def test_as_published_it_is_the_posterior_of_an_inverse_wishart(place: FloatArra
     np.testing.assert_array_equal(found.bias[0], np.zeros(DIM))
 
 
+def test_without_a_sample_in_reach_it_is_the_prior() -> None:
+    """Its scale was fitted together with its own ν, not with the one that is best under the scale
+    of each place."""
+    shape = KernelShape(reach=0.5, neighbors=40, dof=30.0, prior_counts=4.0)
+    model = posterior()
+    found, counts = model.at(np.array([[0.0, 0.0], [500.0, 0.0]]), shape)
+    np.testing.assert_array_equal(counts > 0.0, [True, False])
+    np.testing.assert_array_equal(found.scale[1], model.prior.scale[0])
+    np.testing.assert_array_equal(found.dof[1], model.prior.dof[0])
+    np.testing.assert_array_equal(found.bias[1], 0.0)
+    assert found.dof[0] > 2.0 * found.dof[1]
+
+
 def test_the_published_predictive_density_is_that_of_scipy() -> None:
     """The Student-t of eq. (13), whose covariance is the mean of the inverse Wishart."""
     psi, nu = published_by_hand(PLACES[1], PUBLISHED)

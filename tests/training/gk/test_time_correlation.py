@@ -9,6 +9,7 @@ from probevo.geometry import se3
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StereoNoise, StudentT
 from probevo.training.gk.time_correlation import (
+    TimeCorrelationProfile,
     log_likelihood,
     smallest_likely_ratio,
     time_correlation_profile,
@@ -43,8 +44,8 @@ def observations(
 
 def profile_of(
     seen: tuple[FloatArray, FloatArray], model: StudentT
-) -> tuple[FloatArray, FloatArray]:
-    """Return the profile, [N, 4], and the log likelihood of the residuals under the model, [N]."""
+) -> tuple[TimeCorrelationProfile, FloatArray]:
+    """Return the profile, and the log likelihood of the residuals under the model, [N]."""
     prev_px, curr_px = seen
     count = len(prev_px)
     noise = model.predict(np.zeros((count, 0)))
@@ -108,3 +109,13 @@ def test_errors_that_are_new_in_each_frame_have_a_small_ratio() -> None:
     seen = observations(np.random.default_rng(2), 4000, 0.0, 5.0)
     profile, _ = profile_of(seen, StudentT(5.0, SIGMA_PX**2 * np.eye(4)))
     assert smallest_likely_ratio(profile) < 0.3
+
+
+def test_rows_give_the_profile_back_and_what_is_left_out_is_as_likely_for_every_ratio() -> None:
+    seen = observations(np.random.default_rng(3), 50, 1.0, 5.0)
+    profile, _ = profile_of(seen, StudentT(5.0, SIGMA_PX**2 * np.eye(4)))
+    for value, again in zip(profile, TimeCorrelationProfile.of_rows(profile.rows()), strict=True):
+        np.testing.assert_array_equal(again, value)
+    silent = profile.without_information(np.ones(50, bool))
+    assert log_likelihood(silent, 4.0) == log_likelihood(silent, 0.0)
+    assert log_likelihood(silent, 0.0) == log_likelihood(profile, 0.0)

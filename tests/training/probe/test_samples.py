@@ -88,8 +88,8 @@ def test_a_step_is_in_the_same_fold_in_every_iteration() -> None:
         samples.features
     ]
     for each in np.unique(step):
-        assert len(np.unique(samples.fold[step == each])) == 1
-    assert set(samples.fold.tolist()) == set(range(FOLDS))
+        assert len(np.unique(samples.fold_by_time[step == each])) == 1
+    assert set(samples.fold_by_time.tolist()) == set(range(FOLDS))
 
 
 @pytest.mark.parametrize("every", [2, 3, 4, 7])
@@ -114,9 +114,9 @@ def test_no_alpha_is_on_both_sides_when_samples_are_left_out(kind: str, every: i
         [[sampler.iterate(k)] for k in range(6)], [sampler], TrainSettings(relative=False)
     )
     for alpha in np.unique(samples.alphas):
-        assert len(np.unique(samples.left_out[samples.alphas == alpha])) == 1
-    assert set(samples.left_out.tolist()) == set(range(FOLDS))
-    assert np.array_equal(samples.left_out, samples.fold) == (kind == "gt")
+        assert len(np.unique(samples.fold_by_error[samples.alphas == alpha])) == 1
+    assert set(samples.fold_by_error.tolist()) == set(range(FOLDS))
+    assert np.array_equal(samples.fold_by_error, samples.fold_by_time) == (kind == "gt")
 
 
 def test_the_features_of_a_short_drive_are_in_some_fold() -> None:

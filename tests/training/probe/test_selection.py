@@ -14,6 +14,7 @@ from probevo.training.drive import Drive
 from probevo.training.probe.samples import folds_of_steps, gather_samples
 from probevo.training.probe.selection import (
     EXPONENTS,
+    FEWEST_ERRORS,
     NEIGHBORS,
     choose_exponent,
     choose_neighbors,
@@ -136,8 +137,8 @@ def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
     samples = gather_samples(iterations, [sampler], TrainSettings(relative=False))
     coordinates = sampler.coordinates[samples.features, 1:]
     values = np.log(samples.alphas)
-    assert choose_neighbors(coordinates, values, samples.left_out).chosen == NEIGHBORS[-1]
-    assert choose_neighbors(coordinates, values, samples.fold).chosen < NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold_by_error).chosen == NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold_by_time).chosen < NEIGHBORS[-1]
 
 
 @dataclass(frozen=True)
@@ -237,6 +238,31 @@ def test_steps_that_no_half_can_solve_have_no_say() -> None:
     assert choose_exponent(blind, [log_sigma]).chosen == 0.0  # no step at all
 
 
+@pytest.mark.parametrize("every", [60, 20])
+def test_a_few_known_errors_do_not_decide_on_gamma(every: int) -> None:
+    """One loop, or a few stretches: γ is that of the drive without any truth."""
+    few = sampled_drive("sparse", every=every)
+    assert len(few.sampler.supervision.stretches) < FEWEST_ERRORS
+    log_sigma = few.drive.phi[:, 0] - few.drive.phi[:, 0].mean()
+    search = choose_exponent([few.sampler], [log_sigma])
+    assert search == choose_exponent([sampled_drive("none").sampler], [log_sigma])
+    assert search.chosen > 0.0
+
+
+@pytest.mark.parametrize("steps", [1, FEWEST_ERRORS - 1])
+def test_of_a_few_steps_gamma_is_0(sampled: SampledDrive, steps: int) -> None:
+    """Their standard error means nothing, and that of one step is 0: chance alone would decide."""
+    whole = sampled.drive
+    used = np.arange(len(whole.used)) < whole.first_of_step[steps]
+    drive = replace(whole, used=whole.used & used)
+    sampler = sampler_of(drive, from_step_to_step(drive.T_curr_prev), sampled.world.camera)
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        search = choose_exponent([sampler], [0.3 * rng.normal(size=len(whole.used))])
+        assert np.ptp(search.errors) > 0.0
+        assert search.chosen == 0.0
+
+
 def learned(sampled: SampledDrive, settings: TrainSettings) -> NearestNeighbors:
     """A model of one drive, with K and γ chosen, as ``probevo train`` does it."""
     sampler = sampled.sampler
@@ -246,12 +272,12 @@ def learned(sampled: SampledDrive, settings: TrainSettings) -> NearestNeighbors:
     )
     values = np.log(samples.alphas)
     coordinates = sampler.coordinates[samples.features]
-    neighbors = int(choose_neighbors(coordinates, values, samples.left_out).chosen)
+    neighbors = int(choose_neighbors(coordinates, values, samples.fold_by_error).chosen)
     own = folds_of_steps(sampler, 0)[drive.step_of_feature]
     means = out_of_fold(
         coordinates,
         values,
-        samples.fold,
+        samples.fold_by_time,
         neighbors=neighbors,
         queries=sampler.coordinates,
         fold_of_query=own,

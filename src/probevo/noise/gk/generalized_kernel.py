@@ -160,8 +160,8 @@ class GeneralizedKernel:
         # The posterior over all samples, in the chosen columns.
         samples = replace(samples, coordinates=self._coordinates(predictors))
         self.posterior_ = KernelPosterior.of(samples, published=published)
-        is_center = evenly(len(residuals), int(self.centers))
-        places = samples.coordinates[is_center]
+        center_rows = evenly(len(residuals), int(self.centers))
+        places = samples.coordinates[center_rows]
         # A support that was not chosen covers nearly all places with K neighbours.
         if not np.isfinite(shape.reach):
             radius = self.posterior_.radius(places, shape.neighbors)
@@ -174,9 +174,9 @@ class GeneralizedKernel:
         # from the other samples where the domain ends.
         fitted, _ = self.posterior_.at(places, shape)
         self.centers_ = Centers.of(places, fitted)
-        others = np.setdiff1d(np.arange(len(residuals)), is_center)
-        others = others[:: max(1, len(others) // MAX_DOMAIN_SAMPLES)]
-        self.domain_radius_ = self.centers_.domain_radius_of(samples.coordinates[others])
+        other_rows = np.setdiff1d(np.arange(len(residuals)), center_rows)
+        other_rows = other_rows[:: max(1, len(other_rows) // MAX_DOMAIN_SAMPLES)]
+        self.domain_radius_ = self.centers_.domain_radius_of(samples.coordinates[other_rows])
         self.prior_ = self._far_prior(fitted)
         return self
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -153,9 +153,9 @@ def choose_shape(
         return weights, shape, {}
 
     # The search learns from a part of the samples, of which as many neighbours would reach farther.
-    ratio = max(1.0, len(samples.errors) / MAX_SAMPLES) ** NEIGHBORS_EXPONENT
+    num_samples = len(samples.errors)
     if "neighbors" in fixed:
-        shape = replace(shape, neighbors=max(1, round(shape.neighbors / ratio)))
+        shape = replace(shape, neighbors=neighbors_in_search(shape.neighbors, num_samples))
     if not published and "prior_counts" not in given:
         shape = replace(shape, prior_counts=LIGHT_COUNTS)
     has_free_weights = "weights" not in given and not published
@@ -172,9 +172,33 @@ def choose_shape(
         shape = search.choose(name, values, weights, shape)
     if not published:
         shape = search.choose_dof(weights, shape)
-    # K for all samples again: the search had fewer, by the factor whose root is ``ratio``.
-    neighbors = fixed.get("neighbors", round(shape.neighbors * ratio))
+    # K for all samples again
+    neighbors = fixed.get("neighbors", neighbors_of_all(shape.neighbors, num_samples))
     return weights, replace(shape, neighbors=neighbors), search.log
+
+
+def neighbors_in_search(neighbors: int, num_samples: int) -> int:
+    """Return the K of the search, which has fewer samples, for a K of all N samples."""
+    return max(1, round(neighbors / _neighbors_ratio(num_samples)))
+
+
+def neighbors_of_all(neighbors: int, num_samples: int) -> int:
+    """Return the K of all N samples for a K of the search."""
+    return round(neighbors * _neighbors_ratio(num_samples))
+
+
+def _neighbors_ratio(num_samples: int) -> float:
+    """Return K of all N samples over K of the search."""
+    return math.pow(max(1.0, num_samples / MAX_SAMPLES), NEIGHBORS_EXPONENT)
+
+
+class _HeldOut(NamedTuple):
+    """What the errors of a fold that are held out are predicted from."""
+
+    posterior: KernelPosterior
+    """Of the samples of the other folds."""
+    near: Neighborhoods
+    """Those of them near each place of the fold."""
 
 
 class _Search:
@@ -195,7 +219,7 @@ class _Search:
         self.steps_done = 0
         self.log: SearchLog = {}
         self._cached_for: tuple[bytes, int, float] | None = None
-        self._cached: list[tuple[KernelPosterior, Neighborhoods]] = []
+        self._cached: list[_HeldOut] = []
 
     def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
         """Choose columns by forward selection, then the weight of each: [M].
@@ -289,7 +313,7 @@ class _Search:
                 )
                 self._cached_for = key
             parts = pool.map(
-                lambda fold, cached: _gains_of_fold(fold, cached[0], cached[1], shape),
+                lambda fold, held_out: _gains_of_fold(fold, held_out, shape),
                 self.folds,
                 self._cached,
             )
@@ -303,9 +327,7 @@ class _Search:
         best = int(np.argmax([np.mean(gain) for gain in gains]))
         return options[best], gains[best]
 
-    def _neighborhoods(
-        self, fold: Fold, weights: FloatArray, shape: KernelShape
-    ) -> tuple[KernelPosterior, Neighborhoods]:
+    def _neighborhoods(self, fold: Fold, weights: FloatArray, shape: KernelShape) -> _HeldOut:
         # Columns without weight do not enter the tree.
         used = weights > 0.0
         coordinates = np.ascontiguousarray((fold.training.coordinates * weights)[:, used])
@@ -315,7 +337,7 @@ class _Search:
             published=self.published,
             prior=fold.prior,
         )
-        return posterior, posterior.around(places, shape)
+        return _HeldOut(posterior=posterior, near=posterior.around(places, shape))
 
     def _advance(self, steps: int = 1) -> None:
         self.steps_done += steps
@@ -323,10 +345,8 @@ class _Search:
             self.on_progress(self.steps_done, self.total_steps)
 
 
-def _gains_of_fold(
-    fold: Fold, posterior: KernelPosterior, near: Neighborhoods, shape: KernelShape
-) -> FloatArray:
-    fitted, _ = posterior.fit(near, shape, SEARCH_ITERATIONS)
+def _gains_of_fold(fold: Fold, held_out: _HeldOut, shape: KernelShape) -> FloatArray:
+    fitted, _ = held_out.posterior.fit(held_out.near, shape, SEARCH_ITERATIONS)
     noise = StereoNoise(scale=fitted.scale, dof=fitted.dof, bias=fitted.bias)
     return noise.log_likelihood(fold.held_out.errors) - fold.static
 

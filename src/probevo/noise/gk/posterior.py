@@ -9,9 +9,9 @@ which predicts a Student-t of ν* − d + 1 degrees of freedom and scale Ψ*/(ν
 gross outlier then inflates Ψ* for all places near it, and ν* grows with the number of samples
 whatever the tails of their errors, so that the loss becomes quadratic.
 
-The robust variant fits a Student-t with a bias, by maximum a posteriori, to the K nearest errors
-under the same kernel. Its support ends at the K-th neighbour, or at ρ if that is nearer. Its prior
-is the Student-t of all errors.
+The robust variant fits a Student-t with a bias to the K nearest errors under the same kernel, with
+a prior that counts as further errors (``student_t_fit``). Its support ends at the K-th neighbour,
+or at ρ if that is nearer. Its prior is the Student-t of all errors.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class KernelPosterior:
     def fit(
         self, near: Neighborhoods, shape: KernelShape, iterations: int
     ) -> tuple[StudentTs, FloatArray]:
-        """Compute the predictive distribution of given neighbourhoods.
+        """Compute the predictive distribution of given neighbourhoods; the prior, if one is empty.
 
         Returns:
             The n distributions, and Σ k of each, [n].
@@ -207,7 +207,12 @@ class KernelPosterior:
             nu = shape.prior_counts + counts
             dof = nu - DIM + 1.0
             scale = fitted.scale * (nu / dof)[:, None, None]
-            fitted = StudentTs(scale=scale, dof=dof, bias=fitted.bias)
+            return StudentTs(scale=scale, dof=dof, bias=fitted.bias), counts
+        # ν of the shape belongs to errors under the scale of their place. The scale of all errors
+        # goes with the ν that was fitted together with it.
+        is_empty = counts == 0.0
+        fitted.scale[is_empty] = self.prior.scale
+        fitted.dof[is_empty] = self.prior.dof
         return fitted, counts
 
     def radius(self, places: FloatArray, neighbors: int) -> FloatArray:

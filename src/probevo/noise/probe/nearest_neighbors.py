@@ -11,7 +11,7 @@ like those that gave poor motions get a larger covariance (PROBE section IV-B, F
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -21,20 +21,16 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel, StereoNoise
-from probevo.noise.fixed import Fixed
 from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric, have_shapes
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
+from probevo.noise.probe.base_file import BaseFacts, base_from_parts, base_parts
 from probevo.noise.probe.neighbor_index import NeighborIndex
 from probevo.noise.student_t import StudentT
-from probevo.settings import Settings
 
 Average = Literal["arithmetic", "geometric"]
 LARGEST_WEIGHT = 1e4
 """Bound of β and of 1/β: beyond it a feature contributes nothing, or dominates all others."""
-
-_BASES: dict[str, Callable[[], Fixed | StudentT]] = {"fixed": Fixed, "student-t": StudentT}
-"""Static models whose noise can be scaled, by their names in a file."""
 
 
 class NearestNeighbors:
@@ -169,36 +165,31 @@ class NearestNeighbors:
         refuse_other_camera(self.camera, camera)
 
     def to_file(self) -> ModelFile:
-        """Return the content of the file of this model: its samples, sorted as in the index.
+        """Return the content of the file of this model, its samples in the order of the index.
 
         Raises:
             InputError: the base is of a class that a file cannot name.
         """
         metric = self.metric_
         index = self.index_
-        # The base is stored by name.
-        bases = [name for name, base in _BASES.items() if type(self.base) is base]
-        if not bases:
-            raise InputError(
-                "nearest neighbours",
-                f"a base of type {type(self.base).__name__} cannot be stored.",
-                f"Use one of {', '.join(_BASES)}.",
-            )
+        base_arrays, base_facts = base_parts(self.base)
         arrays: dict[str, AnyArray] = {
             "centers": index.centers,
             "first_of_cell": index.first_of_cell,
             "samples": index.samples,
             "values": index.values,
             **metric.arrays,
+            **base_arrays,
         }
         facts = {
             "columns": list(metric.columns),
             "may_be_undefined": list(metric.may_be_undefined),
-            "neighbors": self.neighbors,
-            "exponent": self.exponent,
+            # JSON takes no numbers of NumPy.
+            "neighbors": int(self.neighbors),
+            "exponent": float(self.exponent),
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
-            "base": {"name": bases[0]},
+            "base": base_facts,
             **origin_facts(self.camera, self.training),
         }
         return ModelFile("knn", arrays, facts)
@@ -216,7 +207,7 @@ class NearestNeighbors:
             neighbors=facts.neighbors,
             exponent=facts.exponent,
             average=facts.average,
-            base=_BASES[facts.base.name](),
+            base=base_from_parts(facts.base, arrays),
             camera=facts.camera,
             training=facts.training,
         )
@@ -265,10 +256,6 @@ class NearestNeighbors:
             raise ValueError("its arrays do not fit together")
 
 
-class _Base(Settings):
-    name: Literal["fixed", "student-t"]
-
-
 MAX_LOG_ALPHA = 700.0
 """The exponential of a larger number would overflow."""
 
@@ -282,7 +269,7 @@ class _Facts(OriginFacts):
     exponent: float = Field(ge=0)
     average: Average
     log_mean_alpha: float = Field(ge=-MAX_LOG_ALPHA, le=MAX_LOG_ALPHA)
-    base: _Base
+    base: BaseFacts
 
     @field_validator("training")
     @classmethod

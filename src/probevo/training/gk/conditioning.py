@@ -27,7 +27,7 @@ class _Stretch:
 
     first: int
     """First step."""
-    last: int
+    end: int
     """The step after the last one."""
     to_end: FloatArray
     """Adjoint Ad_k that maps a perturbation of each step to one of the whole motion, [m, 6, 6]."""
@@ -67,9 +67,9 @@ def conditioned(
     motions = T_curr_prev.copy()
     posterior = cov.copy()
     stretches = []
-    for i, (first, last) in enumerate(supervision.stretches.tolist()):
-        ends = supervision.T_world_cam[[i, i + 1]]
-        stretches.append(_stretch(T_curr_prev, cov, first, last, ends=ends))
+    for i, (first, end) in enumerate(supervision.stretches.tolist()):
+        T_world_cam = supervision.T_world_cam[[i, i + 1]]
+        stretches.append(_stretch(T_curr_prev, cov, first, end, T_world_cam=T_world_cam))
 
     # The covariance P of the truth.
     is_estimated = truth_sigma is None and not supervision.is_assumed
@@ -85,7 +85,7 @@ def conditioned(
             continue
         # Kalman update of all steps of the stretch: the truth measures Σ Ad_k ξ_k, with the noise
         # P.
-        steps = slice(stretch.first, stretch.last)
+        steps = slice(stretch.first, stretch.end)
         # The gain is C_k Ad_kᵀ (M + P)⁻¹, [m, 6, 6]. Correlations that the truth makes between
         # steps are not kept: each step is used by itself.
         gain = cov[steps] @ np.swapaxes(stretch.to_end, 1, 2) @ information
@@ -95,7 +95,7 @@ def conditioned(
 
 
 def _stretch(
-    T_curr_prev: FloatArray, cov: FloatArray, first: int, last: int, *, ends: FloatArray
+    T_curr_prev: FloatArray, cov: FloatArray, first: int, end: int, *, T_world_cam: FloatArray
 ) -> _Stretch:
     """Compound the motions of a stretch and compare them with the truth.
 
@@ -103,23 +103,22 @@ def _stretch(
         T_curr_prev: motion of each step of the drive, [K − 1, 4, 4].
         cov: covariance of each, [K − 1, 6, 6].
         first: first step of the stretch.
-        last: the step after the last one.
-        ends: true poses T_world_cam at both ends, [2, 4, 4].
+        end: the step after the last one.
+        T_world_cam: true poses at both ends of the stretch, [2, 4, 4].
     """
     # From the last step backwards, so that each adjoint is that of the steps after it.
-    motions = T_curr_prev[first:last]
+    motions = T_curr_prev[first:end]
     T_last_k = np.eye(4)
     to_end = np.empty((len(motions), 6, 6))
     for k in range(len(motions) - 1, -1, -1):
         to_end[k] = se3.adjoint(T_last_k)
         T_last_k = T_last_k @ motions[k]
     # The motion of the whole stretch, its covariance M = Σ Ad_k C_k Ad_kᵀ, and the distance of the
-    # true motion from it. The ends are poses T_world_cam, so that T_true is T_world_last⁻¹
-    # T_world_first.
-    M: FloatArray = np.sum(to_end @ cov[first:last] @ np.swapaxes(to_end, 1, 2), axis=0)
-    T_true = se3.inverse(ends[1]) @ ends[0]
+    # true motion from it. T_true is T_world_last⁻¹ T_world_first.
+    M: FloatArray = np.sum(to_end @ cov[first:end] @ np.swapaxes(to_end, 1, 2), axis=0)
+    T_true = se3.inverse(T_world_cam[1]) @ T_world_cam[0]
     distance = se3.log(T_true @ se3.inverse(T_last_k))
-    return _Stretch(first=first, last=last, to_end=to_end, cov=M, distance=distance)
+    return _Stretch(first=first, end=end, to_end=to_end, cov=M, distance=distance)
 
 
 def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:

@@ -42,8 +42,8 @@ class ErrorSamples:
     log_likelihood: FloatArray
     """Log density of each residual under the model, [N], nats."""
     profile: FloatArray
-    """Likelihood of each residual as a function of the time correlation, [N, 4], see
-    ``time_correlation_profile``."""
+    """Likelihood of each residual as a function of the time correlation, [N, 4], the ``rows`` of a
+    ``TimeCorrelationProfile``."""
     jitter_moments: FloatArray
     """Second moment of the change of the rig's jitter in each step, [K, 3, 3], rad²; none where the
     noise has no jitter."""

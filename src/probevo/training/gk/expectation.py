@@ -153,10 +153,9 @@ def feature_errors(
             errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
-            # The profile (s, a, b, ν) in closed form holds only for tracks without a known past.
-            # With a = b = 0, the others say nothing of the time correlation.
+            # The profile in closed form holds only for tracks without a known past.
             profile = time_correlation_profile(solution, step.noise, kept)
-            profile[step.estimate.has_history[kept], 1:3] = 0.0
+            profile = profile.without_information(step.estimate.has_history[kept])
             found.append(
                 FeatureErrors(
                     steps=np.full(len(kept), step.index),
@@ -165,7 +164,7 @@ def feature_errors(
                     errors=errors,
                     spread=spread,
                     log_likelihood=log_likelihood,
-                    profile=profile,
+                    profile=profile.rows(),
                     jitter_moments=np.reshape(moments, (-1, 3, 3)),
                 )
             )

@@ -26,7 +26,7 @@ from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.student_t import StudentT
 from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
 from probevo.training.gk.jitter import initial_covariance, learned_covariance
-from probevo.training.gk.time_correlation import smallest_likely_ratio
+from probevo.training.gk.time_correlation import TimeCorrelationProfile, smallest_likely_ratio
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import TrainingContext
 
@@ -170,7 +170,8 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
 
 def updated_time_correlation(previous: float, samples: ErrorSamples) -> float:
     """Return the time correlation κ, half the way from the previous one to the likeliest."""
-    return TIME_CORRELATION_STEP * (previous + smallest_likely_ratio(samples.profile))
+    profile = TimeCorrelationProfile.of_rows(samples.profile)
+    return TIME_CORRELATION_STEP * (previous + smallest_likely_ratio(profile))
 
 
 def updated_jitter(previous: FloatArray | None, samples: ErrorSamples) -> FloatArray | None:

@@ -31,8 +31,8 @@ class FeatureErrors:
     log_likelihood: FloatArray
     """Log density of each residual under the noise that the motions were solved with, [m], nats."""
     profile: FloatArray
-    """Likelihood of each residual as a function of the time correlation, [m, 4], see
-    ``time_correlation_profile``."""
+    """Likelihood of each residual as a function of the time correlation, [m, 4], the ``rows`` of a
+    ``TimeCorrelationProfile``."""
     jitter_moments: FloatArray
     """Second moment of the change of the rig's jitter in each step that was solved for it, [K, 3,
     3], rad²."""

@@ -87,6 +87,12 @@ def _check_published(kernel: KernelSettings) -> None:
         raise InputError(
             "--gk.neighbors", "as published, all within --gk.reach contribute.", "Leave it out."
         )
+    if kernel.bias:
+        raise InputError(
+            "--gk.bias",
+            "as published, the errors have no bias.",
+            "Leave it out, or take --gk.variant robust.",
+        )
     if kernel.prior_counts is not None and kernel.prior_counts <= 3.0:
         raise InputError(
             "--gk.prior-counts",

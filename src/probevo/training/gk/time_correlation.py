@@ -6,9 +6,9 @@ in each, σ, adds κ² m mᵀ to the scale Σ of a residual e, with m = σ l
 
     s(κ) = s − κ² a²/(1 + κ² b),    ln|Σ(κ)| = ln|Σ| + ln(1 + κ² b),
 
-with s = eᵀ Σ⁻¹ e, a = mᵀ Σ⁻¹ e and b = mᵀ Σ⁻¹ m. These three numbers a feature give the likelihood
-for every κ. One κ for all features of a kernel, whose σ differ, was 0.02 to 0.07 nats a feature
-better than one error for all, on KITTI.
+with s = eᵀ Σ⁻¹ e, a = mᵀ Σ⁻¹ e and b = mᵀ Σ⁻¹ m. These three numbers a feature, and its ν, give
+the likelihood for every κ. One κ for all features of a kernel, whose σ differ, was 0.02 to 0.07
+nats a feature better than one error for all, on KITTI.
 
 The form holds for features of whose track nothing is remembered: new ones, and those that were not
 trusted in the previous step.
@@ -16,10 +16,12 @@ trusted in the previous step.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, disparity_variance
 from probevo.noise.student_t_arrays import DIM
@@ -37,10 +39,43 @@ RATIOS = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 
 """Grid of κ on which the search for the likeliest one begins."""
 
 
+class TimeCorrelationProfile(NamedTuple):
+    """The likelihood of the residuals of m features as a function of κ."""
+
+    squared: FloatArray
+    """s = eᵀ Σ⁻¹ e, [m]."""
+    cross: FloatArray
+    """a = mᵀ Σ⁻¹ e, [m]."""
+    gain: FloatArray
+    """b = mᵀ Σ⁻¹ m, [m]."""
+    dof: FloatArray
+    """Degrees of freedom ν, [m]."""
+
+    @staticmethod
+    def of_rows(rows: FloatArray) -> TimeCorrelationProfile:
+        """Return the profile whose ``rows`` these are, [m, 4]."""
+        squared, cross, gain, dof = rows.T
+        return TimeCorrelationProfile(squared=squared, cross=cross, gain=gain, dof=dof)
+
+    def rows(self) -> FloatArray:
+        """Return (s, a, b, ν) of each feature, [m, 4], as they are concatenated over drives."""
+        return np.column_stack(self)
+
+    def without_information(self, is_left_out: BoolArray) -> TimeCorrelationProfile:
+        """Return the same profile, in which the features of a mask, [m], say nothing of κ.
+
+        Their a and b are 0.
+        """
+        return self._replace(
+            cross=np.where(is_left_out, 0.0, self.cross),
+            gain=np.where(is_left_out, 0.0, self.gain),
+        )
+
+
 def time_correlation_profile(
     solution: ReprojectionSolution, noise: StereoNoise, chosen: IntArray
-) -> FloatArray:
-    """Return (s, a, b, ν) of m chosen features, [m, 4].
+) -> TimeCorrelationProfile:
+    """Return the profile of m chosen features.
 
     Σ is the scale without the time-correlated part that the noise predicts.
     """
@@ -63,14 +98,19 @@ def time_correlation_profile(
     # with −κ₀² for κ².
     removed = 0.0 if noise.time_correlated is None else noise.time_correlated[chosen] / variance
     rest = np.maximum(1.0 - removed * b, LEAST_REST)
-    return np.column_stack([s + removed * a**2 / rest, a / rest, b / rest, noise.dof[chosen]])
+    return TimeCorrelationProfile(
+        squared=s + removed * a**2 / rest,
+        cross=a / rest,
+        gain=b / rest,
+        dof=noise.dof[chosen],
+    )
 
 
-def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
+def smallest_likely_ratio(profile: TimeCorrelationProfile, tie: float = TIE) -> float:
     """Return the smallest κ that is as likely as the likeliest one, up to a tie.
 
     Args:
-        profile: (s, a, b, ν) of each feature, [m, 4].
+        profile: of m features.
         tie: nats a feature up to which likelihoods count as equal.
     """
 
@@ -91,13 +131,12 @@ def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
     return float(brentq(lambda ratio: cost(ratio) - limit, 0.0, float(likeliest.x), xtol=1e-3))
 
 
-def log_likelihood(profile: FloatArray, ratio: float) -> float:
+def log_likelihood(profile: TimeCorrelationProfile, ratio: float) -> float:
     """Return the mean log density of the residuals under κ, nats, up to a constant."""
-    s, a, b, dof = profile.T
-    determinant = 1.0 + ratio**2 * b
-    squared = s - ratio**2 * a**2 / determinant
+    determinant = 1.0 + ratio**2 * profile.gain
+    squared = profile.squared - ratio**2 * profile.cross**2 / determinant
     # (ν + d) log(1 + s/ν) tends to s as ν → ∞.
-    is_gaussian = np.isinf(dof)
-    nu = np.where(is_gaussian, 1.0, dof)
+    is_gaussian = np.isinf(profile.dof)
+    nu = np.where(is_gaussian, 1.0, profile.dof)
     robust = np.where(is_gaussian, squared, (nu + DIM) * np.log1p(squared / nu))
     return float(np.mean(-0.5 * (robust + np.log(determinant))))

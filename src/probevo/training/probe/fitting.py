@@ -41,7 +41,7 @@ def fit_model(
     values = np.log(samples.alphas) if is_logarithmic else samples.alphas
     if neighbors is not None:
         check_neighbors(neighbors, len(values))
-    if (neighbors is None or exponent is None) and len(np.unique(samples.fold)) < 2:
+    if (neighbors is None or exponent is None) and len(np.unique(samples.fold_by_time)) < 2:
         raise InputError(
             "training data",
             "the drives are too short to choose K and γ by blocks of time.",
@@ -50,7 +50,7 @@ def fit_model(
 
     # K by cross-validation.
     if neighbors is None:
-        searches["neighbors"] = choose_neighbors(coordinates, values, samples.left_out)
+        searches["neighbors"] = choose_neighbors(coordinates, values, samples.fold_by_error)
         neighbors = int(searches["neighbors"].chosen)
 
     # γ by the error of the training drives, each feature weighed by samples of other folds.
@@ -110,7 +110,7 @@ def _log_relative_alphas(
         means = out_of_fold(
             coordinates,
             values,
-            samples.fold,
+            samples.fold_by_time,
             neighbors=neighbors,
             queries=sampler.coordinates,
             fold_of_query=fold_of_feature,

@@ -25,10 +25,10 @@ class Samples:
     """Index of the feature among those of all drives, one drive after another, [N]."""
     alphas: FloatArray
     """Error α of each sample, [N]: in metres, or relative to the mean over the same stretch."""
-    fold: IntArray
+    fold_by_time: IntArray
     """Fold of each sample, 0 … FOLDS − 1, [N]: blocks of time alternate, so that samples that are
     close in time share a fold."""
-    left_out: IntArray
+    fold_by_error: IntArray
     """Folds of which no two hold samples of one and the same α, [N]: those by time, or, of a drive
     with one α for all its steps, those by iteration."""
 
@@ -43,8 +43,8 @@ def gather_samples(
     """
     features = []
     alphas = []
-    folds = []
-    left_out = []
+    folds_by_time = []
+    folds_by_error = []
     first_feature = 0
     for number, sampler in enumerate(samplers):
         # All iterations over this drive, one after another.
@@ -60,13 +60,13 @@ def gather_samples(
         alphas.append(alpha)
 
         # Folds by time; samples of one α that covers the whole drive are divided by iterations.
-        fold = folds_of_steps(sampler, number)[step]
-        folds.append(fold)
+        fold_by_time = folds_of_steps(sampler, number)[step]
+        folds_by_time.append(fold_by_time)
         if len(sampler.supervision.stretches) == 1:
             counts = [len(iteration[number][0]) for iteration in iterations]
-            left_out.append(np.repeat(np.arange(len(iterations)), counts) % FOLDS)
+            folds_by_error.append(np.repeat(np.arange(len(iterations)), counts) % FOLDS)
         else:
-            left_out.append(fold)
+            folds_by_error.append(fold_by_time)
         first_feature += len(sampler.drive.phi)
     if not sum(map(len, alphas)):
         raise InputError(
@@ -77,8 +77,8 @@ def gather_samples(
     return Samples(
         features=np.concatenate(features),
         alphas=np.concatenate(alphas),
-        fold=np.concatenate(folds),
-        left_out=np.concatenate(left_out),
+        fold_by_time=np.concatenate(folds_by_time),
+        fold_by_error=np.concatenate(folds_by_error),
     )
 
 
