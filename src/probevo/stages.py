@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
-from probevo.estimation.recovery import LOST, Recovery
+from probevo.estimation.recovery import STATUSES_WITHOUT_FEATURES, Recovery
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.visual_motion import VisualMotion
 from probevo.measurements.base import Measurement
@@ -67,7 +67,7 @@ class Solved:
     @property
     def is_lost(self) -> bool:
         """Whether the features were lost in images that are not just repeated."""
-        return self.visual.status in LOST and not self.observed.is_frozen
+        return self.visual.status in STATUSES_WITHOUT_FEATURES and not self.observed.is_frozen
 
     @property
     def shows_step(self) -> bool:

@@ -266,16 +266,7 @@ class OdometryState:
         if rotation is not None:
             # The rotation is the gyro's, the translation that of the last velocity.
             of_gyro = self.motion_model.predict(duration_s, rotation)
-            if uses_imu(window):
-                # A gyro that has passed its tests would see a sudden turn.
-                motion = replace(of_gyro, alternative=replace(motion, sudden_turn_rad=0.0))
-            elif trusts_gyro(window):
-                # Where the velocity has been given up, since it contradicted solve after solve, the
-                # gyro may be what is wrong.
-                gives_up = self.motion_model.speed_is_unknown
-                motion = replace(of_gyro, alternative=motion if gives_up else None)
-            elif window is not None and may_bridge(window):
-                motion = replace(motion, alternative=of_gyro)
+            motion = self._with_alternative(of_velocity=motion, of_gyro=of_gyro, window=window)
         return Prediction(
             state=self,
             frame=frame,
@@ -286,6 +277,31 @@ class OdometryState:
             gyro_bias=bias,
             window=window,
         )
+
+    def _with_alternative(
+        self, *, of_velocity: MotionPrediction, of_gyro: MotionPrediction, window: Window | None
+    ) -> MotionPrediction:
+        """Return the prediction of a step that has a gyro; the gate accepts what agrees with it, or
+        with its alternative.
+
+        Args:
+            of_velocity: by the last velocity alone.
+            of_gyro: with the rotation of the gyro.
+            window: the window, which may have tested the gyro.
+        """
+        if uses_imu(window):
+            # It has passed its tests, and would see a sudden turn.
+            return replace(of_gyro, alternative=replace(of_velocity, sudden_turn_rad=0.0))
+        if trusts_gyro(window):
+            # Nothing can test it. Where the velocity has been given up, since it contradicted solve
+            # after solve, it may have been the gyro that was wrong.
+            gives_up = self.motion_model.speed_is_unknown
+            return replace(of_gyro, alternative=of_velocity if gives_up else None)
+        if window is not None and may_bridge(window):
+            # It has not been tested yet.
+            return replace(of_velocity, alternative=of_gyro)
+        # It has failed a test.
+        return of_velocity
 
 
 def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConfig) -> Window:

@@ -57,7 +57,7 @@ def test_an_imu_too_slow_for_the_window_is_marked(
 ) -> None:
     """What info announces is what a run does: packets at the rate of the frames are too few."""
     rows = info(write_kitti_raw(tmp_path / "raw", frames=6), capsys)
-    assert "usable samples between two frames, where 5 are needed" in rows["! IMU"]
+    assert "ms apart, where 5 are needed" in rows["! IMU"]
     assert rows["IMU is used"].startswith("gyro to start the tracking")
     rows = info(write_folder_sequence(tmp_path / "folder"), capsys)
     assert "! IMU" not in rows

@@ -73,17 +73,18 @@ def fit_row_offsets(
         #     [N + prior   N G          ] [a]   [n + prior gradient]
         #     [Gᵀ N        Gᵀ N G + S⁻¹ ] [ω] = [Gᵀ n              ]
         #
-        # ω is eliminated by the Schur complement of its block.
-        cross = own_information @ of_frame.effect
-        block = of_frame.effect.T @ cross + inverse_change_cov
-        change_gradient = of_frame.effect.T @ own_gradient
-        solved = np.linalg.solve(block, np.column_stack([cross.T, change_gradient])).astype(float)
-        gain = solved[:, :-1]
-        information = prior_information + own_information - cross @ gain
+        # ω = ω₀ − gain · a is eliminated by the Schur complement of its block.
+        G = of_frame.effect
+        N_G = own_information @ G
+        change_block = G.T @ N_G + inverse_change_cov
+        change_gradient = G.T @ own_gradient
+        gain = np.linalg.solve(change_block, N_G.T).astype(float)
+        omega_0 = np.linalg.solve(change_block, change_gradient).astype(float)
+        information = prior_information + own_information - N_G @ gain
         gradient = prior_gradient + own_gradient - gain.T @ change_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
         # Back-substitution: the likeliest ω. The weights of the next iteration are those of
         # residuals from a + G ω, the coefficients of this frame.
-        change = solved[:, -1] - gain @ coefficients
-        frame_coefficients = coefficients + of_frame.effect @ change
+        omega = omega_0 - gain @ coefficients
+        frame_coefficients = coefficients + G @ omega
     return coefficients, information

@@ -124,7 +124,7 @@ def minimize(
     newton = False  # whether the current system has Newton's Hessian
     accepted = 0
     propagations = 1
-    moved = 0.0  # sum of squared steps since the last propagation, in standard deviations
+    distance_squared = 0.0  # sum of squared steps since the last propagation, in σ²
     step = np.empty(layout.dof)
     for iteration in range(1, max_iterations + 1):
         if not _damped_step(system.hessian, system.gradient, damping, step):
@@ -142,12 +142,14 @@ def minimize(
         trial_system = layout.add_up(measurements, trial, newton=trial_newton)
         # stepᵀ H step for an undamped step: its squared length in standard deviations, and twice
         # the decrease of the cost that the quadratic model predicts.
-        decrement = float(np.sum(step * system.gradient))
+        step_squared = float(np.sum(step * system.gradient))
         # A cost of NaN is rejected, too.
         if not trial_system.cost <= system.cost * (1.0 + 1e-12):
-            if not newton and decrement < CONVERGED_BELOW**2:
+            if not newton and step_squared < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
-                return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
+                return Optimum(
+                    values, measurements, iteration, converged=distance_squared <= PROPAGATE_AFTER
+                )
             # The cost has risen: retry with the IRLS Hessian, which is positive definite, then with
             # a shorter step.
             if newton:
@@ -162,18 +164,20 @@ def minimize(
         newton = trial_newton
         damping *= 0.1
         accepted += 1
-        moved += decrement
+        distance_squared += step_squared
         # The covariance of a triangulated point depends on the motion. If it varied within the
         # cost, the solve could reduce the cost by moving to where points are uncertain. So hold it,
         # and propagate it again only after a large move.
-        if moved > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
+        if distance_squared > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
             propagations += 1
-            moved = 0.0
+            distance_squared = 0.0
             if iteration < max_iterations:
                 measurements = tuple(each.propagated(values) for each in measurements)
                 system = layout.add_up(measurements, values, newton=newton)
-        elif decrement < CONVERGED_BELOW**2:
-            return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
+        elif step_squared < CONVERGED_BELOW**2:
+            return Optimum(
+                values, measurements, iteration, converged=distance_squared <= PROPAGATE_AFTER
+            )
     return Optimum(values, measurements, max_iterations, converged=False)
 
 

@@ -32,7 +32,7 @@ FRAMES_OF_NOISE = 2.0
 proportion to the number of frames, as the NEES of recoveries did on degraded recordings."""
 MOST_DURATION_S = 3.0
 """Time after which the last usable frame is given up: a car has then passed what it showed."""
-LOST = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
+STATUSES_WITHOUT_FEATURES = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
 """Status of a step whose features were lost. A rejected solve is not among them: its features
 contradict the prediction or each other, and would do so from any other frame."""
 

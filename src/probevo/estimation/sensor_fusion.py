@@ -55,12 +55,12 @@ OFFSET_WALK = 1.0 / 2500.0
 """Variance of the offset's random walk from one measurement to the next, in variances of the
 sensor. The estimate then rests on the last fifty measurements or so, and late failures are found,
 too."""
-USUAL = 3.5
+CUSUM_ALLOWANCE = 3.5
 """Allowance that is subtracted from each squared innovation before it is summed; the mean of χ²(2)
 is 2."""
-MOST_OF_ONE = 12.0
+CUSUM_LARGEST_TERM = 12.0
 """Most that one innovation can add to the sum, so that a few outliers exclude no sensor."""
-ALARM = 39.0
+CUSUM_ALARM = 39.0
 """Sum at which a sensor is excluded; a consistent one reaches it once in a million measurements."""
 
 UNKNOWN_HEADING_RAD = 100.0
@@ -414,9 +414,9 @@ def _suspects(
         if ratio > 1.0 and claimed > 1.0:
             size = float(np.linalg.norm(offset))
             found.append(_Suspect(sensor, ratio, f"a constant offset of {size:.2g} (rad or m)"))
-    if memory.sum_above > ALARM:
+    if memory.sum_above > CUSUM_ALARM:
         shows = "innovations larger than its covariance explains"
-        found.append(_Suspect(sensor, memory.sum_above / ALARM, shows))
+        found.append(_Suspect(sensor, memory.sum_above / CUSUM_ALARM, shows))
     return found
 
 
@@ -429,7 +429,7 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
             continue
         # −2 ln p of a uniformly distributed p is χ²(2) distributed.
         rarity = max(float(chdtrc(dim, squared)), 1e-300)
-        total = max(0.0, total + min(-2.0 * math.log(rarity), MOST_OF_ONE) - USUAL)
+        total = max(0.0, total + min(-2.0 * math.log(rarity), CUSUM_LARGEST_TERM) - CUSUM_ALLOWANCE)
     return total
 
 

@@ -43,7 +43,7 @@ LARGEST_SCALE = 30.0
 FEWEST_TRUSTED = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
-FEW = 2
+MINORITY_FACTOR = 2
 """Multiple of ``solver.min_tracks`` below which inliers are so few that RANSAC must have confirmed
 the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
 Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
@@ -140,20 +140,21 @@ class _Solve:
         solve does.
 
         Where the covariance of the motion was enlarged, it is the current frame that is noisier
-        than predicted; the window knows the places of the landmarks by earlier ones. Of the two
-        observations of a residual, that one alone has the excess: κ (R + R) = R + (2κ − 1) R. The
-        larger noise would also give weight again to the outliers of this solve, as if their
-        scatter were independent. So the variances grow by the gain in weight, too.
+        than predicted; the window knows the places of the landmarks by earlier ones.
         """
         if self.enlargement == 1.0:
             return self.noise
+        # Of the two observations of a residual, the current one alone has the excess:
+        # κ (R + R) = R + (2κ − 1) R.
+        excess_factor = 2.0 * self.enlargement - 1.0
+        # The larger noise would also give weight again to the outliers of this solve, as if their
+        # scatter were independent. So the variances grow by the gain in weight, too.
         squared = self.estimate.solution.squared
         dof = np.minimum(np.broadcast_to(self.noise.dof, squared.shape), GAUSSIAN_FROM)
         weight = dof / (dof + squared)
         weight_after = dof / (dof + squared / self.enlargement)
-        gain = float(weight_after.sum() / weight.sum())
-        factor = (2.0 * self.enlargement - 1.0) * gain
-        return self.noise.scaled(np.full(len(squared), factor))
+        weight_gain = float(weight_after.sum() / weight.sum())
+        return self.noise.scaled(np.full(len(squared), excess_factor * weight_gain))
 
 
 @dataclass(frozen=True)
@@ -507,10 +508,10 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    # A minority of the tracks has to have more inliers (``FEW``).
+    # A minority of the tracks has to have more inliers (``MINORITY_FACTOR``).
     num_inliers = int((weights >= INLIER_FROM).sum())
     is_minority = len(weights) < 0.5 * num_tracks
-    if num_inliers < config.solver.min_tracks * (FEW if is_minority else 1):
+    if num_inliers < config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.

@@ -123,10 +123,11 @@ class AnchorPatches:
         """
         # Bound the predicted magnification: a wrong prediction may have any. A has the growth as a
         # factor, so that the ratio of bounded and predicted growth scales it.
-        bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
+        growth = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH)
+        growth_ratio = growth / motion.growth
         # Compose the map so far with the predicted motion: anchor → previous → current left image.
         predicted = np.empty((len(self), 2, 2))
-        multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)
+        multiply_maps(growth_ratio[:, None, None] * motion.affine, self.affine, predicted)
         perspective = np.empty((len(self), 2))
         compose_perspectives(motion.perspective, self.affine, self.perspective, perspective)
         aligned = self._align(left, pixels, predicted, perspective, sigma=SIGMA_IN_TIME)
