@@ -30,7 +30,7 @@ SQUARES = 12
 as wide as the window of a feature, which has to lie in one of them."""
 SPAN = 8
 """Frames that a motion within the window spans, beside those over one."""
-WARM_UP = 10
+WARM_UP = 5
 """First frames that do not count: nothing is known of the rig yet."""
 FEWEST = 10
 """Motions below which nothing can be said."""
