@@ -187,7 +187,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
 
     if result.jitter_sigma_rad is not None and len(result) > 1:
-        lines.append(f"the rig {jitter_text(result.jitter_sigma_rad)}")
+        lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):
         lines.append(delay_text(result.right_delay_s))
     if result.focal_length is not None and result.focal_length.is_noticeable:
