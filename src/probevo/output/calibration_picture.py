@@ -113,9 +113,8 @@ def _draw_rows(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
         interpolation="bilinear",
     )
     axes.grid(visible=False)
-    bar = axes.figure.colorbar(drawn, ax=axes)
-    bar.set_label("px")
-    axes.set_title("Row of the right image minus row of the left one")
+    axes.figure.colorbar(drawn, ax=axes)
+    axes.set_title("Row of the right image minus row of the left one, px")
     axes.set_xlabel("u, px")
     axes.set_ylabel("v, px")
 
