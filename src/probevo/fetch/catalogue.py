@@ -107,6 +107,14 @@ KITTI_LICENCE = "CC BY-NC-SA 3.0: not for commercial use"
 EUROC_LICENCE = "© ASL, ETH Zurich; the page has the terms, and asks to cite the paper"
 TUM_VI_LICENCE = "CC BY 4.0"
 TARTAN_AIR_LICENCE = "CC BY 4.0"
+TUM_VI_NAMES = tuple(
+    f"tum-vi/{place}{number}"
+    for place, count in TUM_VI_PLACES.items()
+    for number in range(1, count + 1)
+)
+TARTAN_AIR_NAMES = tuple(
+    f"tartanair/{place}/{level}" for place in TARTAN_AIR_PLACES for level in ("Easy", "Hard")
+)
 FAMILIES = (
     Family(
         names="kitti-odometry",
@@ -131,22 +139,14 @@ FAMILIES = (
     ),
     Family(
         names="tum-vi/SEQUENCE",
-        examples=tuple(
-            f"tum-vi/{place}{number}"
-            for place, count in TUM_VI_PLACES.items()
-            for number in range(1, count + 1)
-        ),
+        examples=TUM_VI_NAMES,
         licence=TUM_VI_LICENCE,
         checksums="MD5, beside each archive",
         size="as its host says; room1 has 1.7 GB",
     ),
     Family(
         names="tartanair/PLACE/Easy, tartanair/PLACE/Hard",
-        examples=tuple(
-            f"tartanair/{place}/{level}"
-            for place in TARTAN_AIR_PLACES
-            for level in ("Easy", "Hard")
-        ),
+        examples=TARTAN_AIR_NAMES,
         licence=TARTAN_AIR_LICENCE,
         checksums="none published",
         size="as its host says",
@@ -168,9 +168,9 @@ def find_dataset(name: str) -> Dataset:
         found = _kitti_raw(date=match[1], drive=match[0])
     elif source == "euroc" and (part in EUROC_SEQUENCES or part == "machine_hall"):
         found = _euroc(part)
-    elif f"{source}/{part}" in FAMILIES[3].examples:
+    elif f"{source}/{part}" in TUM_VI_NAMES:
         found = _tum_vi(part)
-    elif f"{source}/{part}" in FAMILIES[4].examples:
+    elif f"{source}/{part}" in TARTAN_AIR_NAMES:
         found = _tartan_air(part)
     if found is not None:
         return found

@@ -8,7 +8,6 @@ data.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.nets.corrections import correction_error
+from probevo.nets.triangular_covariance import TriangularCovariance
 
 LEAST_SIGMA = 1e-3
 MOST_SIGMA = 10.0
@@ -28,11 +28,7 @@ ROTATION_AXES = (3, 4, 5)
 
 @dataclass(frozen=True)
 class CorrectionTargets:
-    """Corrections ξ = [ρ; φ], [6], m and rad, of which some axes may be left at zero.
-
-    A covariance head gives d numbers for σ on a logarithmic scale between 1e-3 and 10, and a unit
-    lower triangular matrix U with entries between −1 and 1; Σ⁻¹ = Uᵀ diag(1/σ²) U in units of L.
-    """
+    """Corrections ξ = [ρ; φ], [6], m and rad, of which some axes may be left at zero."""
 
     root: tuple[tuple[float, ...], ...]
     """L, [d, d], lower triangular."""
@@ -55,7 +51,7 @@ class CorrectionTargets:
     @property
     def num_covariance(self) -> int:
         """Numbers that a covariance head gives."""
-        return self.dof * (self.dof + 1) // 2
+        return self._covariance.num_outputs
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return ξ, [..., 6], of outputs [..., d]."""
@@ -85,39 +81,23 @@ class CorrectionTargets:
         return jnp.sum(errors**2, axis=-1)
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return diag(1/σ) U e, and Σ log σ."""
-        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., : self.dof] + _FIRST)
-        lower = jnp.tanh(raw[..., self.dof :])
-        # U e row by row; ``lower`` holds the rows of U below its diagonal of ones, one after
-        # another.
-        mixed = []
-        first = 0
-        for row in range(self.dof):
-            last = first + row
-            entries = lower[..., first:last]
-            mixed.append(errors[..., row] + jnp.sum(entries * errors[..., :row], axis=-1))
-            first = last
-        return jnp.stack(mixed, axis=-1) * jnp.exp(-log_sigma), jnp.sum(log_sigma, axis=-1)
+        """Return the errors in units of their σ, and ½ ln |Σ|, as ``TriangularCovariance`` does."""
+        return self._covariance.whiten(raw, errors)
 
     def covariance(self, raw: AnyArray) -> FloatArray:
-        """Return Σ, [..., d, d], in units of L, in float64."""
-        raw = np.asarray(raw, np.float64)
-        # A logistic function without overflow, the sigmoid of ``whiten``
-        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., : self.dof] + _FIRST)))
-        sigma = np.exp(_LOG_LEAST + _LOG_RANGE * share)
-        rows, columns = np.tril_indices(self.dof, -1)
-        unit = np.broadcast_to(np.eye(self.dof), (*raw.shape[:-1], self.dof, self.dof)).copy()
-        unit[..., rows, columns] = np.tanh(raw[..., self.dof :])
-        # With Σ⁻¹ = Uᵀ diag(1/σ²) U, the root U⁻¹ diag(σ) of Σ has its columns scaled.
-        root = np.linalg.inv(unit) * sigma[..., None, :]
-        covariance: FloatArray = root @ root.mT
-        return covariance
+        """Return Σ, [..., d, d], in units of L."""
+        return self._covariance.covariance(raw)
 
     def in_metres_and_rad(self, covariances: FloatArray) -> FloatArray:
         """Return L Σ Lᵀ of covariances in units of L, [..., d, d]."""
         root = np.asarray(self.root)
         scaled: FloatArray = root @ covariances @ root.T
         return scaled
+
+    @property
+    def _covariance(self) -> TriangularCovariance:
+        # An output of zero stands for the covariance of the training data.
+        return TriangularCovariance(dof=self.dof, least=LEAST_SIGMA, most=MOST_SIGMA, first=1.0)
 
     @cached_property
     def _inverse_root(self) -> FloatArray:
@@ -130,10 +110,3 @@ def _errors(xi: jax.Array, xi_true: jax.Array) -> jax.Array:
     """Return g of N estimates, [N, 6]: compiled, since a single one has hundreds of operations."""
     errors: jax.Array = jax.vmap(correction_error)(xi, xi_true)
     return errors
-
-
-_LOG_LEAST = math.log(LEAST_SIGMA)
-_LOG_RANGE = math.log(MOST_SIGMA / LEAST_SIGMA)
-_FIRST_SHARE = -_LOG_LEAST / _LOG_RANGE
-_FIRST = math.log(_FIRST_SHARE / (1.0 - _FIRST_SHARE))
-"""Added to the outputs for σ, so that zeros mean 1."""

@@ -6,28 +6,29 @@ zenith angle, as the residual of ``measurements.direction.Direction``.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray
+from probevo.nets.triangular_covariance import TriangularCovariance
 
 LEAST_SIGMA_RAD = 0.01
 MOST_SIGMA_RAD = 2.0
 """Standard deviations before the axes are mixed lie between these two."""
 FIRST_SIGMA_RAD = 0.5
 """Standard deviation that an output of zero stands for."""
+COVARIANCE = TriangularCovariance(
+    dof=2, least=LEAST_SIGMA_RAD, most=MOST_SIGMA_RAD, first=FIRST_SIGMA_RAD
+)
 LEAST_LENGTH = 1e-9
 """Added to squared lengths: at the zenith, and where there is no error."""
 
 
 @dataclass(frozen=True)
 class SunTargets:
-    """Unit vectors in the camera. A covariance head gives two numbers for σ, and one for their
-    correlation; the covariance is positive definite for any of them."""
+    """Unit vectors in the camera."""
 
     num_outputs = 3
     size = 3
@@ -84,7 +85,7 @@ class SunTargets:
         return 2.0 - 2.0 * jnp.cos(jnp.sqrt(jnp.sum(errors**2, axis=-1) + LEAST_LENGTH))
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return diag(1/σ) U e, and Σ log σ.
+        """Return the errors in units of their σ, and ½ ln |Σ|, as ``TriangularCovariance`` does.
 
         Their sum, the loss, teaches the covariance alone. The estimate learns from the squared
         chord between it and the truth, as in Sun-BCNN: by the likelihood, the images that show
@@ -93,31 +94,14 @@ class SunTargets:
         """
         chord_sq = self.squared(errors)
         of_estimate = 0.5 * (chord_sq - jax.lax.stop_gradient(chord_sq)) / FIRST_SIGMA_RAD**2
-        errors = jax.lax.stop_gradient(errors)
-        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :2] + _FIRST)
-        second = errors[..., 1] + jnp.tanh(raw[..., 2]) * errors[..., 0]
-        mixed = jnp.stack([errors[..., 0], second], axis=-1)
-        return mixed * jnp.exp(-log_sigma), jnp.sum(log_sigma, axis=-1) + of_estimate
+        whitened, half_log_det = COVARIANCE.whiten(raw, jax.lax.stop_gradient(errors))
+        return whitened, half_log_det + of_estimate
 
     def covariance(self, raw: AnyArray) -> FloatArray:
-        """Return Σ = U⁻¹ diag(σ²) U⁻ᵀ, [..., 2, 2], rad², in float64."""
-        raw = np.asarray(raw, np.float64)
-        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :2] + _FIRST)))
-        sigma_rad = np.exp(_LOG_LEAST + _LOG_RANGE * share)
-        root = np.zeros((*raw.shape[:-1], 2, 2))
-        root[..., 0, 0] = sigma_rad[..., 0]
-        root[..., 1, 0] = -np.tanh(raw[..., 2]) * sigma_rad[..., 0]
-        root[..., 1, 1] = sigma_rad[..., 1]
-        covariance: FloatArray = root @ root.mT
-        return covariance
+        """Return Σ, [..., 2, 2], rad²."""
+        return COVARIANCE.covariance(raw)
 
 
 def _unit(vectors: jax.Array) -> jax.Array:
     """Return vectors, [..., 3], divided by their lengths."""
     return vectors * jax.lax.rsqrt(jnp.sum(vectors**2, axis=-1, keepdims=True) + LEAST_LENGTH)
-
-
-_LOG_LEAST = math.log(LEAST_SIGMA_RAD)
-_LOG_RANGE = math.log(MOST_SIGMA_RAD / LEAST_SIGMA_RAD)
-_FIRST_SHARE = math.log(FIRST_SIGMA_RAD / LEAST_SIGMA_RAD) / _LOG_RANGE
-_FIRST = math.log(_FIRST_SHARE / (1.0 - _FIRST_SHARE))

@@ -15,6 +15,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.nets import quaternions
+from probevo.nets.triangular_covariance import TriangularCovariance
 
 LEAST_VARIANCE = 1e-6
 """Least variance of a number; as published."""
@@ -121,12 +122,7 @@ class NumberTargets:
 
 
 class RotationTargets:
-    """Rotations as unit quaternions; the error is φ = Log(q ⊗ q*⁻¹), rad, a left perturbation.
-
-    Of the six outputs of a covariance head, three give σ on a logarithmic scale between 1e-4 rad
-    and π, and three a unit lower triangular matrix U with entries between −1 and 1. The information
-    is Σ⁻¹ = Uᵀ diag(1/σ²) U: positive definite, with a bounded condition number, for any weights.
-    """
+    """Rotations as unit quaternions; the error is φ = Log(q ⊗ q*⁻¹), rad, a left perturbation."""
 
     num_outputs = 4
     size = 4
@@ -156,38 +152,18 @@ class RotationTargets:
         return jnp.sum(errors**2, axis=-1)
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return diag(1/σ) U φ, and Σ log σ."""
-        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :3] + self._first)
-        lower = jnp.tanh(raw[..., 3:])
-        # U φ, with U = [[1, 0, 0], [l₀, 1, 0], [l₁, l₂, 1]]; |U| = 1, so that ½ ln |Σ| is Σ ln σ.
-        x = errors[..., 0]
-        y = errors[..., 1] + lower[..., 0] * errors[..., 0]
-        z = errors[..., 2] + lower[..., 1] * errors[..., 0] + lower[..., 2] * errors[..., 1]
-        mixed = jnp.stack([x, y, z], axis=-1)
-        return mixed * jnp.exp(-log_sigma), jnp.sum(log_sigma, axis=-1)
+        """Return the errors in units of their σ, and ½ ln |Σ|, as ``TriangularCovariance`` does."""
+        return self._covariance.whiten(raw, errors)
 
     def covariance(self, raw: AnyArray) -> FloatArray:
-        """Return Σ = U⁻¹ diag(σ²) U⁻ᵀ, [..., 3, 3], rad², in float64."""
-        raw = np.asarray(raw, np.float64)
-        # A logistic function without overflow.
-        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :3] + self._first)))
-        sigma_rad = np.exp(_LOG_LEAST + _LOG_RANGE * share)
-        lower = np.tanh(raw[..., 3:])
-        unit = np.zeros((*raw.shape[:-1], 3, 3))
-        unit[..., [0, 1, 2], [0, 1, 2]] = 1.0
-        unit[..., 1, 0] = lower[..., 0]
-        unit[..., 2, 0] = lower[..., 1]
-        unit[..., 2, 1] = lower[..., 2]
-        # Columns of U⁻¹ times σ: the root U⁻¹ diag(σ) of Σ
-        root = np.linalg.inv(unit) * sigma_rad[..., None, :]
-        covariance: FloatArray = root @ root.mT
-        return covariance
+        """Return Σ, [..., 3, 3], rad²."""
+        return self._covariance.covariance(raw)
 
     @property
-    def _first(self) -> float:
-        """Offset of the outputs for σ, so that zero stands for ``first_sigma_rad``."""
-        share = math.log(self.first_sigma_rad / LEAST_SIGMA_RAD) / _LOG_RANGE
-        return math.log(share / (1.0 - share))
+    def _covariance(self) -> TriangularCovariance:
+        return TriangularCovariance(
+            dof=3, least=LEAST_SIGMA_RAD, most=MOST_SIGMA_RAD, first=self.first_sigma_rad
+        )
 
 
 class SmallRotationTargets(RotationTargets):
@@ -211,7 +187,3 @@ class SmallRotationTargets(RotationTargets):
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return q = Exp(0.01 o), [..., 4], of outputs [..., 3]."""
         return quaternions.exp(self.unit_rad * outputs)
-
-
-_LOG_LEAST = math.log(LEAST_SIGMA_RAD)
-_LOG_RANGE = math.log(MOST_SIGMA_RAD / LEAST_SIGMA_RAD)

@@ -267,13 +267,8 @@ def _read_imu(
     """
     sensor = read_yaml(folder / "sensor.yaml", ImuFile)
     T_body_imu = sensor.body_from_sensor(folder / "sensor.yaml")
-    # p_cam = C_cam_body (p_body − t_body_cam), and p_body = C_body_imu p_imu + t_body_imu.
-    C_cam_body = T_body_cam[:3, :3].T
-    T_cam_imu = se3.from_parts(
-        C_cam_body @ T_body_imu[:3, :3], C_cam_body @ (T_body_imu[:3, 3] - T_body_cam[:3, 3])
-    )
     calibration = ImuCalibration(
-        T_cam_imu=T_cam_imu,
+        T_cam_imu=se3.inverse(T_body_cam) @ T_body_imu,
         gyro_noise_rad_s_sqrt_hz=sensor.gyroscope_noise_density,
         gyro_bias_sigma_rad_s=GYRO_BIAS_SIGMA_RAD_S,
         gyro_bias_walk_rad_s2_sqrt_hz=sensor.gyroscope_random_walk,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from probevo.arrays import FloatArray
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.geometry import se3
@@ -53,12 +55,8 @@ class StereoCalibration:
         """
         if self.T_left_imu is None:
             return None
-        return mems_imu(
-            se3.from_parts(
-                C_rect_left @ self.T_left_imu[:3, :3], C_rect_left @ self.T_left_imu[:3, 3]
-            ),
-            self.time_offset_s,
-        )
+        T_rect_left = se3.from_parts(C_rect_left, np.zeros(3))
+        return mems_imu(T_rect_left @ self.T_left_imu, self.time_offset_s)
 
 
 def mems_imu(T_cam_imu: FloatArray, time_offset_s: float = 0.0) -> ImuCalibration:
