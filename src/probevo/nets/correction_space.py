@@ -62,8 +62,9 @@ class CorrectionTargets:
     def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
         """Return L⁻¹ g, [..., d]."""
         shape = jnp.broadcast_shapes(estimates.shape, targets.shape)
-        flat = (jnp.broadcast_to(each, shape).reshape(-1, 6) for each in (estimates, targets))
-        errors = _errors(*flat)[:, jnp.array(self.axes)]
+        xi = jnp.broadcast_to(estimates, shape).reshape(-1, 6)
+        xi_true = jnp.broadcast_to(targets, shape).reshape(-1, 6)
+        errors = _errors(xi, xi_true)[:, jnp.array(self.axes)]
         whitened = errors @ jnp.asarray(self._inverse_root, errors.dtype).T
         reshaped: jax.Array = whitened.reshape(*shape[:-1], self.dof)
         return reshaped
