@@ -134,23 +134,33 @@ def _text(value: float | None, form: str) -> str:
     return "–" if value is None else format(value, form)
 
 
+def head(noise: str) -> str:
+    """Return the head of the table of a noise model."""
+    columns = ("t, %", "r, °/m", "end, m", "yaw, °", "NEES 1", f"NEES {SPAN}", "NEES path")
+    return f"{noise:26} {'path':10} {' '.join(f'{column:>9}' for column in columns)}"
+
+
+def show_scenes(noise: str) -> None:
+    """Print the rows of the rendered recordings."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, config in SCENES.items():
+            out = Path(folder) / name.replace(" ", "_").replace(",", "").replace("'", "")
+            write_scene(config, out, jobs=2)
+            show(name, pv.open_sequence(out), 0, noise)
+
+
 def main() -> None:
     """Print a table for each noise model."""
     cv2.setNumThreads(1)
     recordings = RECORDINGS | {"V1_01_micro": (ROOT / "euroc" / "V1_01_micro", 0)}
     for noise in sys.argv[1:] or ["student-t"]:
-        heads = ("t, %", "r, °/m", "end, m", "yaw, °", "NEES 1", f"NEES {SPAN}", "NEES path")
-        print(f"{noise:26} {'path':10} {' '.join(f'{head:>9}' for head in heads)}")
+        print(head(noise))
         for name, (path, first) in recordings.items():
             if path.is_dir():
                 show(name, pv.open_sequence(path), first, noise)
             else:
                 print(f"{name:26} not there")
-        with tempfile.TemporaryDirectory() as folder:
-            for name, config in SCENES.items():
-                out = Path(folder) / name.replace(" ", "_").replace(",", "").replace("'", "")
-                write_scene(config, out, jobs=2)
-                show(name, pv.open_sequence(out), 0, noise)
+        show_scenes(noise)
 
 
 if __name__ == "__main__":

@@ -194,6 +194,27 @@ def test_after_a_long_pause_the_window_goes_on(first: int, pause_s: int) -> None
         assert (np.diag(motion.pose_cov) >= 0.0).all()
 
 
+@pytest.mark.parametrize("window_frames", [3, 10])
+@pytest.mark.parametrize("kind", ["pauses", "instants", "both"])
+def test_stamps_of_any_distance_leave_covariances(kind: str, window_frames: int) -> None:
+    """Pauses of ten seconds leave nearly nothing known across them, and frames within a microsecond
+    of each other so much that rounding loses the rest."""
+    seconds = {"pauses": [10.0], "instants": [1e-6], "both": [10.0, 1e-6]}[kind]
+    rng = np.random.default_rng(3)
+    is_odd = rng.random(60) < 0.4
+    steps_ns = np.where(is_odd, 1e9 * rng.choice(seconds, size=60), float(FRAME_NS)).astype(int)
+    stamps_ns = 10**15 + np.cumsum(steps_ns)
+    frames = [
+        replace(frame, stamp_ns=int(stamp_ns))
+        for frame, stamp_ns in zip(drive(rng, 60), stamps_ns, strict=True)
+    ]
+    config = pv.OdometryConfig.model_validate({"window": {"frames": window_frames}})
+    for motion in run(frames, config)[1:]:
+        assert is_proper(motion)
+        sigma = np.sqrt(np.diag(motion.pose_cov))
+        assert np.linalg.eigvalsh(motion.pose_cov / sigma[:, None] / sigma)[0] > -1e-6
+
+
 def test_outlier_frames_are_refused() -> None:
     """All features of one frame swap places: no motion explains them, and the frame is
     dead-reckoned."""

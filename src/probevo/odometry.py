@@ -437,7 +437,7 @@ class StereoOdometry:
                 state.motion_model, prediction.motion, duration_s
             )
             model = state.motion_model.after_dead_reckoning(
-                duration_s, prediction.motion, refused=refused
+                duration_s, prediction.motion, motion.T_curr_prev, refused=refused
             )
             return motion, replace(
                 state,

@@ -7,12 +7,13 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
-from probevo.estimation.motion_model import MotionModel
+from probevo.estimation.motion_model import LEAST_SIGMA, MotionModel
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION
+from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StudentT
@@ -38,7 +39,9 @@ def reckoned(
 ) -> MotionModel:
     """After one more step, which is dead-reckoned."""
     prediction = model.predict(duration_s, None)
-    return model.after_dead_reckoning(duration_s, prediction, refused=refused)
+    return model.after_dead_reckoning(
+        duration_s, prediction, prediction.T_curr_prev, refused=refused
+    )
 
 
 @pytest.mark.parametrize("duration_s", [0.02, 0.1, 0.13, 1.0])
@@ -63,13 +66,53 @@ def test_at_the_start_no_motion_is_predicted_and_any_speed_is_possible() -> None
 
 
 def test_covariance_is_that_of_the_last_motion_of_the_acceleration_and_of_the_stamps() -> None:
-    """((σ_v + a T) T)², with σ_v from the solve, and 2 σ_t² v vᵀ for the two stamps."""
+    """((σ_v + a T) T)², with σ_v from the solve, 2 σ_t² v vᵀ for the two stamps, and the least."""
     acceleration = np.repeat([CONFIG.acceleration_m_s2, CONFIG.angular_acceleration_rad_s2], 3)
     sigma = np.sqrt(np.diagonal(COV)) / STEP_S + acceleration * 0.2
     stamps = 2.0 * CONFIG.stamp_sigma_s**2 * np.outer(TWIST_S, TWIST_S)
-    np.testing.assert_allclose(
-        driving().predict(0.2, None).cov, np.diag((sigma * 0.2) ** 2) + stamps, rtol=1e-9
-    )
+    expected = np.diag((sigma * 0.2) ** 2) + stamps + LEAST_SIGMA**2 * np.eye(6)
+    np.testing.assert_allclose(driving().predict(0.2, None).cov, expected, rtol=1e-9)
+
+
+def test_a_motion_within_a_microsecond_tells_nothing_of_the_velocity() -> None:
+    """Its features know the motion to a centimetre, which would be 10 km/s."""
+    model = driving().after_solve(1e-6, np.eye(4), COV)
+    at_start = MotionModel.at_start(CONFIG)
+    np.testing.assert_array_equal(model.twist_s, at_start.twist_s)
+    np.testing.assert_array_equal(model.twist_sigma_s, at_start.twist_sigma_s)
+
+
+def test_a_rejected_solve_over_a_microsecond_leaves_a_covariance() -> None:
+    """Which spans from nothing, as predicted, to the metre that the solve has moved."""
+    model = driving()
+    prediction = model.predict(1e-6, None)
+    solution = solved(se3.exp(np.array([0.1, 0.0, 1.0, 0.0, 0.0, 0.0])))
+    step = model.dead_reckoned(prediction, solution, refused=True)
+    motion = RelativePose(step.T_curr_prev, step.cov, curr=MOTION)
+    information = motion.information({MOTION: step.T_curr_prev})
+    scale = np.sqrt(np.diagonal(information))
+    assert np.linalg.eigvalsh(information / scale[:, None] / scale)[0] > 0.0
+
+
+def test_a_path_that_rejected_solves_lead_along_has_a_covariance() -> None:
+    """While the speed is unknown, they stand in for the prediction, and the velocity's error acts
+    along their axes, as well in the path before as in the next steps."""
+    rng = np.random.default_rng(0)
+    model = MotionModel.at_start(CONFIG)
+    path_cov = np.zeros((6, 6))
+    for _ in range(5):
+        prediction = model.predict(10.0, None)
+        guess = se3.exp(np.concatenate([20.0 * rng.normal(size=3), rng.normal(size=3)]))
+        step = model.dead_reckoned(prediction, solved(guess), refused=False)
+        np.testing.assert_array_equal(step.T_curr_prev, guess)
+        model = model.after_dead_reckoning(10.0, prediction, step.T_curr_prev)
+        adjoint = se3.adjoint(step.T_curr_prev)
+        cross = step.path_cross_cov
+        path_cov = adjoint @ path_cov @ adjoint.T + step.cov + cross + cross.T
+        # The velocity's error is a part of the path's.
+        rest = path_cov - model.path_sensitivity @ model.path_sensitivity.T
+        scale = np.sqrt(np.diagonal(path_cov))
+        assert np.linalg.eigvalsh(rest / scale[:, None] / scale)[0] > -1e-9
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0, 60.0, 200.0])
@@ -112,7 +155,7 @@ def test_the_covariance_of_a_dead_reckoned_path_does_not_depend_on_the_frame_rat
     for _ in range(round(rate_hz)):
         prediction = model.predict(step_s, None)
         step = model.dead_reckoned(prediction, None, refused=False)
-        model = model.after_dead_reckoning(step_s, prediction)
+        model = model.after_dead_reckoning(step_s, prediction, prediction.T_curr_prev)
         motions.append(step.T_curr_prev)
         covs.append(step.cov)
         cross_covs.append(step.path_cross_cov)
@@ -326,7 +369,7 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
     # A degree askew, and six milliseconds late.
     unmodelled_rad = 0.02 * np.linalg.norm(angle)
     unmodelled_rad += 0.006 * np.linalg.norm(angle / STEP_S - TWIST_S[3:])
-    expected_cov = gyro.cov + unmodelled_rad**2 * np.eye(3)
+    expected_cov = gyro.cov + (unmodelled_rad**2 + LEAST_SIGMA**2) * np.eye(3)
     np.testing.assert_allclose(aided.cov[3:, 3:], expected_cov, rtol=1e-9)
     np.testing.assert_array_equal(aided.cov[:3, :3], unaided.cov[:3, :3])
     np.testing.assert_array_equal(aided.T_curr_prev[:3, 3], unaided.T_curr_prev[:3, 3])

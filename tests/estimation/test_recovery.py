@@ -142,7 +142,7 @@ def test_the_prediction_over_several_steps_is_that_of_the_motion_model() -> None
         )
         predicted = path.predicted(prediction, model.path_sensitivity)
         path = path.advanced(0.1, motion)
-        model = model.after_dead_reckoning(0.1, prediction)
+        model = model.after_dead_reckoning(0.1, prediction, prediction.T_curr_prev)
         np.testing.assert_allclose(predicted.T_curr_prev, path.T_prev_usable, atol=1e-12)
         np.testing.assert_allclose(predicted.cov, path.cov, atol=1e-12)
 

@@ -234,6 +234,18 @@ def test_a_covariance_that_is_none_is_refused(covariance: FloatArray, message: s
         Linear(covariance)
 
 
+def test_the_information_of_a_narrow_covariance_is_positive_and_symmetric() -> None:
+    """As after a step that is known to 10 µm but along the metre by which a solve differs."""
+    direction = np.array([0.11, -0.05, 0.85])
+    covariance = 1e-10 * np.eye(3) + np.outer(direction, direction)
+    information = Linear(covariance).information({OFFSET: np.zeros(3)})
+    assert (np.linalg.eigvalsh(information) > 0.0).all()
+    assert np.abs(information - information.T).max() <= 1e-12 * np.abs(information).max()
+    # Along A⁻¹ d the residual moves along d, the only direction that is hardly known.
+    along = np.linalg.solve(Linear.A, direction)
+    np.testing.assert_allclose(along @ information @ along, 1.0, rtol=1e-4)
+
+
 def test_variables_are_poses_or_vectors() -> None:
     """A pose moves by Exp(ξ) from the left, a vector by addition; blocks follow one another."""
     rng = np.random.default_rng(4)

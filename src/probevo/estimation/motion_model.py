@@ -24,6 +24,10 @@ LARGEST_STAMP_SHARE = 0.05
 to half too long or too short then passes the gate, and none at all does not; with 5 ms at 30 Hz,
 stamps could explain that a driving camera stands still."""
 
+LEAST_SIGMA = 1e-5
+"""Standard deviation that a prediction has at least, m and rad. Within a microsecond nothing moves,
+and that would be so certain that rounding loses what features know."""
+
 FASTEST_START = 1.5
 """Fastest forward speed that is tried at the start, in standard deviations of its prior."""
 
@@ -165,7 +169,7 @@ class MotionModel:
             velocity_sensitivity[3:] = 0.0
         return MotionPrediction(
             T_curr_prev,
-            cov,
+            cov + LEAST_SIGMA**2 * np.eye(6),
             velocity_sensitivity,
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
@@ -239,6 +243,11 @@ class MotionModel:
         # ``path_sensitivity`` are reset.
         twist_s = se3.log(T_curr_prev) / duration_s
         twist_sigma_s = np.sqrt(np.diagonal(cov)) / duration_s
+        # A motion within a microsecond tells less of the velocity than the prior does.
+        prior = MotionModel.at_start(self.config)
+        is_known = twist_sigma_s < prior.twist_sigma_s
+        twist_s = np.where(is_known, twist_s, prior.twist_s)
+        twist_sigma_s = np.where(is_known, twist_sigma_s, prior.twist_sigma_s)
         scale = self.acceleration_scale
         if not self.speed_is_unknown:
             scale = scale.after(
@@ -283,18 +292,24 @@ class MotionModel:
         )
 
     def after_dead_reckoning(
-        self, duration_s: float, prediction: MotionPrediction, *, refused: bool = False
+        self,
+        duration_s: float,
+        prediction: MotionPrediction,
+        T_curr_prev: FloatArray,
+        *,
+        refused: bool = False,
     ) -> MotionModel:
         """Return the model after a dead-reckoned step: same velocity, larger uncertainty.
 
         Args:
             duration_s: time between the two frames.
-            prediction: the dead-reckoned motion.
+            prediction: what was predicted of its motion.
+            T_curr_prev: its motion, [4, 4]: the prediction, or a rejected solve.
             refused: whether there was a solve that failed the gate. After MAX_REFUSALS in a row
                 the model itself is wrong, and becomes as uncertain as at the start.
         """
         refusals = self.refusals + int(refused)
-        path_before = se3.adjoint(prediction.T_curr_prev) @ self.path_sensitivity
+        path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
         rate = self._with_step(duration_s)
         # The camera was picked up, say, or the first solve was wrong. Solves that contradict the

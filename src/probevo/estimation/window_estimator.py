@@ -635,9 +635,8 @@ class WindowEstimator:
         gain = solved[:, :RIG]
         rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_gradient = gradient[rig] - gain.T @ gradient[poses]
-        rig_step = np.linalg.solve(
-            self._rig_information + rig_information / CORRELATED_FEATURES,
-            rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig,
+        rig_step = self._rig_covariance(rig_information) @ (
+            rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
         )
         return np.concatenate([solved[:, RIG] - gain @ rig_step, rig_step])
 
@@ -650,13 +649,26 @@ class WindowEstimator:
         of_poses = pose_covariance(hessian[poses, poses])
         gain = of_poses @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
-        rig_cov = np.linalg.inv(self._rig_information + information / CORRELATED_FEATURES)
+        rig_cov = self._rig_covariance(information)
         cov = np.empty_like(hessian)
         cov[poses, poses] = of_poses + gain @ rig_cov @ gain.T
         cov[poses, rig] = -gain @ rig_cov
         cov[rig, poses] = cov[poses, rig].T
         cov[rig, rig] = rig_cov
         return cov
+
+    def _rig_covariance(self, information: FloatArray) -> FloatArray:
+        """Return (Λ + S/c)⁻¹ for the information S about the rig, [4, 4], and its prior's, Λ.
+
+        No observation makes the rig less certain than the prior. Where the window knows next to
+        nothing of its place, rounding may leave an S that is negative.
+        """
+        # In units of the prior's standard deviations, Λ is the identity.
+        sigma = np.diagonal(self._rig_information) ** -0.5
+        in_units = sigma[:, None] * information * sigma / CORRELATED_FEATURES
+        values, directions = np.linalg.eigh(in_units)
+        directions = sigma[:, None] * directions
+        return np.asarray(directions / (1.0 + np.maximum(values, 0.0)) @ directions.T)
 
     def _moved(self, system: _System, step: FloatArray) -> Window:
         """Return the window after a step of poses and rig; the landmarks follow."""

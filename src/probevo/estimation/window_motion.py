@@ -64,7 +64,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         known_better = from_oldest_before - from_oldest_after
     corrected = adjoint @ known_better @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
-    if after.is_blind[-1] and np.linalg.det(motion.cov) < np.linalg.det(cov):
+    if after.is_blind[-1] and _log_volume(motion.cov) < _log_volume(cov):
         # Blind frames are dead-reckoned from the last usable one, each as if by itself.
         cov = motion.cov
     # T_curr_prev T_relative⁻¹: how far the step moved the previous pose, along the axes of the
@@ -119,6 +119,14 @@ def _unforeseen(correction: np.ndarray, cov: np.ndarray) -> np.ndarray:
         return np.zeros((6, 6))
     added: np.ndarray = np.outer(error, error)
     return added
+
+
+def _log_volume(cov: np.ndarray) -> float:
+    """Return half of log |cov|; infinite where rounding has left no covariance."""
+    try:
+        return float(np.log(np.diagonal(np.linalg.cholesky(cov))).sum())
+    except np.linalg.LinAlgError:
+        return np.inf
 
 
 def _positive_part(matrix: np.ndarray) -> np.ndarray:

@@ -161,7 +161,7 @@ class VectorMeasurement(ABC):
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
         # A covariance is positive definite if and only if it has a Cholesky factor.
         try:
-            np.linalg.cholesky(covariance)
+            root = np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError as error:
             what = "its covariance is not positive definite."
             raise InputError(type(self).__name__, what) from error
@@ -169,7 +169,9 @@ class VectorMeasurement(ABC):
         self.dof = dof
         self.gate = gate
         self._large_from = np.inf
-        self._information: FloatArray = np.asarray(np.linalg.inv(covariance), np.float64)
+        # By its root, no rounding makes an information negative.
+        inverse_root = np.linalg.inv(root)
+        self._information: FloatArray = np.asarray(inverse_root.T @ inverse_root)
 
     @property
     @abstractmethod
