@@ -44,9 +44,6 @@ class TopicSettings(Settings):
             " is used automatically."
         ),
     )
-    pair_tolerance_ms: float | None = Field(
-        None, description="Largest time between the two images of a pair; 2 ms by default."
-    )
 
 
 OPTICAL_IN_BASE = (
@@ -125,6 +122,21 @@ class ReadSettings(Settings):
     rate_hz: float | None = Field(
         None, description="Frames a second of a recording without any times."
     )
+    resized: bool = Field(
+        False,
+        description=(
+            "The images of a folder, bag, video or EuRoC's layout have been scaled since they were"
+            " calibrated: scale the calibration, too."
+        ),
+    )
+    pair_tolerance_ms: float | None = Field(
+        None,
+        gt=0.0,
+        description=(
+            "Largest time between the two images of a pair, where a bag, or stamps as the names of"
+            " a folder's images, pair them; 2 ms by default."
+        ),
+    )
     scene: int | None = Field(
         None, ge=0, description="Number of the scene of KITTI 2012 or 2015, stereo or flow."
     )
@@ -157,14 +169,13 @@ class ReadSettings(Settings):
             "truth": self.truth,
             "truth_of": self.truth_of,
             "rate_hz": self.rate_hz,
+            "resized": self.resized or None,
+            "pair_tolerance_ms": self.pair_tolerance_ms,
             "scene": self.scene,
             "mask_left": self.mask_left,
             "mask_right": self.mask_right,
         }
-        topics = {
-            name if name == "pair_tolerance_ms" else f"topics_{name}": value
-            for name, value in self.topics
-        }
+        topics = {f"topics_{name}": value for name, value in self.topics}
         return {name: value for name, value in (own | topics).items() if value is not None}
 
 
@@ -241,6 +252,8 @@ OWN_KEYS = (
     "truth",
     "truth_of",
     "rate_hz",
+    "resized",
+    "pair_tolerance_ms",
     "scene",
     "topics",
     "mask_left",

@@ -85,6 +85,16 @@ def test_stamps_as_names_pair_the_images(tmp_path: Path) -> None:
     assert "1 left, 0 right" in dict(sequence.notes)["! pairs"]
 
 
+def test_cameras_that_are_not_triggered_together_may_be_given_more_time(tmp_path: Path) -> None:
+    path = without_times(tmp_path)
+    start_ns = 1520530308199447626
+    rename(path, "left", [str(start_ns + k * 50_000_000) for k in range(4)])
+    rename(path, "right", [str(start_ns + k * 50_000_000 + 8_000_000) for k in range(4)])
+    with pytest.raises(InputError, match=r"within 2 ms(?s:.*)--pair-tolerance-ms"):
+        open_sequence(path)
+    assert len(open_sequence(path, pair_tolerance_ms=10.0)) == 4
+
+
 def test_a_rate_gives_the_times(tmp_path: Path) -> None:
     path = without_times(tmp_path)
     with pytest.raises(InputError, match=r"times\.txt: this file is missing(?s:.*)--rate-hz"):

@@ -381,7 +381,7 @@ def test_topics_that_are_not_read_are_counted() -> None:
 
 def test_the_command_line_names_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_messages(tmp_path / "two", "mcap", two_stereo_cameras())
-    flags = ["--topics.left", "/rear/left/image_rect", "--topics.pair-tolerance-ms", "1"]
+    flags = ["--topics.left", "/rear/left/image_rect", "--pair-tolerance-ms", "1"]
     assert main(["info", str(path), *flags]) == 0
     out = capsys.readouterr().out
     assert "/rear/left/image_rect and /rear/right/image_rect" in " ".join(out.split())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.camera.image_scale import ImageScale
 from probevo.camera.stereo import StereoCamera, check_camera, check_intrinsics
 from probevo.errors import InputError
 from probevo.geometry import so3
@@ -39,6 +40,27 @@ class PinholeCamera:
         """Camera matrix K, [3, 3], px."""
         return np.array(
             [[self.fu_px, 0.0, self.cu_px], [0.0, self.fv_px, self.cv_px], [0.0, 0.0, 1.0]]
+        )
+
+    def resized(self, size_px: tuple[int, int], where: str | Path) -> PinholeCamera:
+        """Return the camera for its images scaled to another size; the distortion is the same.
+
+        Args:
+            size_px: (width, height) of the scaled images.
+            where: the calibration, for the message.
+
+        Raises:
+            InputError: the scaled images have another shape.
+        """
+        scale = ImageScale.between(self.size_px, size_px, where)
+        cu_px, cv_px = scale.place(self.cu_px, self.cv_px)
+        return replace(
+            self,
+            fu_px=self.fu_px * scale.along_u,
+            fv_px=self.fv_px * scale.along_v,
+            cu_px=cu_px,
+            cv_px=cv_px,
+            size_px=size_px,
         )
 
 

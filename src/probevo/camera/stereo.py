@@ -5,12 +5,13 @@ The equations are PROBE's (2) and (9).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_scale import ImageScale
 from probevo.errors import InputError, brief
 
 
@@ -47,6 +48,29 @@ class StereoCamera:
             cu_px=0.5 * (width - 1),
             cv_px=0.5 * (height - 1),
             baseline_m=baseline_m,
+            size_px=size_px,
+        )
+
+    def resized(self, size_px: tuple[int, int], where: str | Path) -> StereoCamera:
+        """Return the camera for its images scaled to another size.
+
+        Args:
+            size_px: (width, height) of the scaled images.
+            where: the calibration, for the message.
+
+        Raises:
+            InputError: the size of the camera's own images is not known, or has another shape.
+        """
+        if self.size_px is None:
+            raise InputError(where, "the size of its images is not known.")
+        scale = ImageScale.between(self.size_px, size_px, where)
+        cu_px, cv_px = scale.place(self.cu_px, self.cv_px)
+        return replace(
+            self,
+            fu_px=self.fu_px * scale.along_u,
+            fv_px=self.fv_px * scale.along_v,
+            cu_px=cu_px,
+            cv_px=cv_px,
             size_px=size_px,
         )
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from probevo.camera.image_scale import SizePx
 from probevo.errors import InputError
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
 from probevo.sequences.kalibr_calibration import is_kalibr, read_kalibr
@@ -21,7 +22,7 @@ from probevo.sequences.slam_settings import (
     read_orb_slam,
     read_vins_fusion,
 )
-from probevo.sequences.stereo_calibration import SizePx, StereoCalibration
+from probevo.sequences.stereo_calibration import StereoCalibration
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,15 @@ def is_stereo_calibration(path: Path) -> bool:
     return any(known.recognises(content) for known in READERS)
 
 
-def read_stereo_calibration(path: Path, size_px: SizePx | None = None) -> StereoCalibration:
+def read_stereo_calibration(
+    path: Path, size_px: SizePx | None = None, *, resized: bool = False
+) -> StereoCalibration:
     """Read a calibration file of any known kind.
 
     Args:
         path: the file.
         size_px: (width, height) of the images that it is for; None to accept any.
+        resized: whether these images may have been scaled since they were calibrated.
 
     Raises:
         InputError: the file is missing, of no known kind, of a camera model that is not supported,
@@ -72,9 +76,16 @@ def read_stereo_calibration(path: Path, size_px: SizePx | None = None) -> Stereo
     if reader is None:
         what = f"this is no calibration of a stereo pair; its keys are {content.keys_text}."
         raise InputError(path, what, f"Known are {', '.join(known.name for known in READERS)}.")
-    calibration = reader.read(content, size_px)
+    # A file that does not give the size is taken for the images as they are, but not as they were.
+    calibration = reader.read(content, None if resized else size_px)
     if size_px is not None and calibration.left.size_px != size_px:
         width, height = calibration.left.size_px
+        if resized:
+            return calibration.resized(size_px)
         what = f"it is for images of {width}×{height} px; these have {size_px[0]}×{size_px[1]} px."
-        raise InputError(path, what, "Calibrate at the size of the images, or scale them.")
+        cure = (
+            "Calibrate at the size of the images, or give --resized if they were scaled since they"
+            " were calibrated."
+        )
+        raise InputError(path, what, cure)
     return calibration

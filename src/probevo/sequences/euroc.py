@@ -14,6 +14,7 @@ from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
@@ -29,6 +30,7 @@ from probevo.sequences.imu_calibration import (
 from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import check_stamps
+from probevo.sequences.stereo_calibration import StereoCalibration
 from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, read_yaml
 
@@ -112,7 +114,9 @@ class Cameras:
     """t_imu − t_cam."""
 
 
-def open_euroc(path: Path, calibration: Path | None = None) -> StereoRecording:
+def open_euroc(
+    path: Path, calibration: Path | None = None, *, resized: bool = False
+) -> StereoRecording:
     """Open cam0 and cam1, which are rectified on the fly, and IMU and ground truth if present.
 
     Left and right images are matched by their stamps; images without a partner (V2_03 has some) are
@@ -122,6 +126,7 @@ def open_euroc(path: Path, calibration: Path | None = None) -> StereoRecording:
         path: ``mav0``, or the folder that holds it.
         calibration: a file of Kalibr or others (``calibration_files``) instead of the
             ``sensor.yaml`` of the cameras.
+        resized: whether the images have been scaled since they were calibrated.
 
     Raises:
         InputError: a file or field is missing, few images have a partner, or a value is impossible.
@@ -132,12 +137,14 @@ def open_euroc(path: Path, calibration: Path | None = None) -> StereoRecording:
         path = mav.resolve().parent
 
     if calibration is None:
-        cameras = _own_cameras(mav)
+        raw = _own_calibration(mav)
         stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
+        if resized:
+            raw = raw.resized(_size_px(left_files[0]))
     else:
         stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
-        height, width = read_gray_of_any_depth(left_files[0]).shape
-        cameras = _cameras_of(calibration, mav, (width, height))
+        raw = read_stereo_calibration(calibration, _size_px(left_files[0]), resized=resized)
+    cameras = _cameras_of(raw, mav)
     rectification = cameras.rectification
 
     imu = None
@@ -164,35 +171,41 @@ def open_euroc(path: Path, calibration: Path | None = None) -> StereoRecording:
     )
 
 
-def _own_cameras(mav: Path) -> Cameras:
-    """Read the calibration in the ``sensor.yaml`` of both cameras.
+def _size_px(file: Path) -> SizePx:
+    """Return width and height of an image."""
+    height, width = read_gray_of_any_depth(file).shape
+    return width, height
+
+
+def _own_calibration(mav: Path) -> StereoCalibration:
+    """Read the ``sensor.yaml`` of both cameras.
 
     Raises:
         InputError: a file or field is missing, or a value is impossible.
     """
-    # Body → left and right camera → rectified left camera.
     left_yaml = mav / "cam0" / "sensor.yaml"
     right_yaml = mav / "cam1" / "sensor.yaml"
     left = read_yaml(left_yaml, CameraFile, CURE)
     right = read_yaml(right_yaml, CameraFile, CURE)
     T_body_left = left.body_from_sensor(left_yaml)
-    T_right_left = se3.inverse(right.body_from_sensor(right_yaml)) @ T_body_left
-    rectification = Rectification.from_calibration(
-        left.pinhole(), right.pinhole(), T_right_left, where=right_yaml
+    T_body_right = right.body_from_sensor(right_yaml)
+    return StereoCalibration(
+        where=right_yaml,
+        left=left.pinhole(),
+        right=right.pinhole(),
+        T_right_left=se3.inverse(T_body_right) @ T_body_left,
     )
-    return Cameras(rectification, T_body_left @ _left_from_rectified(rectification))
 
 
-def _cameras_of(calibration: Path, mav: Path, size_px: tuple[int, int]) -> Cameras:
-    """Read a calibration file of another tool.
+def _cameras_of(raw: StereoCalibration, mav: Path) -> Cameras:
+    """Rectify the cameras of a calibration.
 
-    The pose in the body is that of the IMU with the file's ``T_cam_imu``, or else that of
-    ``cam0/sensor.yaml``, if there is one.
+    Their pose in the body is that of the IMU with the calibration's ``T_cam_imu``, if it has one,
+    or else that of ``cam0/sensor.yaml``, if there is one.
 
     Raises:
-        InputError: a file is missing or faulty.
+        InputError: a file is faulty, or the two cameras form no stereo pair.
     """
-    raw = read_stereo_calibration(calibration, size_px)
     rectification = raw.rectification()
     T_body_left = None
     imu_yaml = mav / "imu0" / "sensor.yaml"

@@ -24,7 +24,7 @@ from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.calibration_files import is_stereo_calibration, read_stereo_calibration
-from probevo.sequences.format_options import PAIR_TOLERANCE_MS, FolderOptions
+from probevo.sequences.format_options import FolderOptions
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.given_truth import truth_of_file
 from probevo.sequences.images import list_images, list_pairs, range_of_files, read_gray_of_any_depth
@@ -144,7 +144,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         InputError: a file or key is missing, unknown or wrong, or counts differ.
     """
     options = options or FolderOptions()
-    pictures = _list_pictures(path, options.rate_hz)
+    pictures = _list_pictures(path, options)
     stamps_ns = pictures.stamps_ns
 
     def size_px() -> tuple[int, int]:
@@ -152,7 +152,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         height, width = read_gray_of_any_depth(pictures.left_files[0]).shape
         return width, height
 
-    cameras = read_cameras(path, options.calibration, size_px)
+    cameras = read_cameras(path, options.calibration, size_px, resized=options.resized)
     imu = with_noise_of(cameras.imu, options.imu_noise)
     imu_stream = _read_imu(path, cameras, stamps_ns)
     return StereoRecording(
@@ -207,18 +207,19 @@ class _Pictures:
     notes: tuple[tuple[str, str], ...] = ()
 
 
-def _list_pictures(path: Path, rate_hz: float | None) -> _Pictures:
+def _list_pictures(path: Path, options: FolderOptions) -> _Pictures:
     """Return the pairs with their times: of ``times.txt``, at a rate, or of the file names.
 
     Raises:
         InputError: an image lacks its partner, or nothing tells the times.
     """
     times = path / "times.txt"
+    rate_hz = options.rate_hz
     if times.exists() and rate_hz is not None:
         what = f"the rate of {rate_hz:g} Hz contradicts times.txt."
         raise InputError(times, what, "Remove the file, or leave out --rate-hz.")
     if not times.exists() and rate_hz is None:
-        return _pictures_by_stamps(path)
+        return _pictures_by_stamps(path, options.pair_tolerance_ms)
     left_files, right_files = list_pairs(path / "left", path / "right")
     if rate_hz is None:
         stamps_ns = read_times(times, len(left_files))
@@ -227,7 +228,7 @@ def _list_pictures(path: Path, rate_hz: float | None) -> _Pictures:
     return _Pictures(stamps_ns, left_files, right_files)
 
 
-def _pictures_by_stamps(path: Path) -> _Pictures:
+def _pictures_by_stamps(path: Path, tolerance_ms: float) -> _Pictures:
     """Return the pairs by the stamps in their names, which may differ from left to right.
 
     Raises:
@@ -243,15 +244,18 @@ def _pictures_by_stamps(path: Path) -> _Pictures:
             " by their stamps (as 1520530308199447626.png), or give --rate-hz."
         )
         raise InputError(path / "times.txt", "this file is missing.", cure)
-    pairs = pair_stamps(left_ns, right_ns, round(1e6 * PAIR_TOLERANCE_MS))
+    pairs = pair_stamps(left_ns, right_ns, round(1e6 * tolerance_ms))
     num_left = len(left_files) - len(pairs)
     num_right = len(right_files) - len(pairs)
     if len(pairs) < max(num_left, num_right):
         what = (
             f"only {len(pairs)} of {len(left_files)} left and {len(right_files)} right images have"
-            f" a partner within {PAIR_TOLERANCE_MS:g} ms by the stamps in their names."
+            f" a partner within {tolerance_ms:g} ms by the stamps in their names."
         )
-        raise InputError(path, what, "Are the cameras triggered together?")
+        cure = (
+            "Are the cameras triggered together? --pair-tolerance-ms allows for more between them."
+        )
+        raise InputError(path, what, cure)
     text = (
         f"{len(pairs)}, by the stamps in the file names, at most"
         f" {1e-6 * float(np.abs(pairs.offsets_ns).max()):.3f} ms apart; without a partner:"
@@ -266,7 +270,11 @@ def _pictures_by_stamps(path: Path) -> _Pictures:
 
 
 def read_cameras(
-    folder: Path, calibration: Path | None, size_px: Callable[[], tuple[int, int]]
+    folder: Path,
+    calibration: Path | None,
+    size_px: Callable[[], tuple[int, int]],
+    *,
+    resized: bool = False,
 ) -> Cameras:
     """Read the calibration of the cameras: probevo's own, or one of raw images.
 
@@ -274,6 +282,7 @@ def read_cameras(
         folder: where ``calib.yaml`` is.
         calibration: another file; None for that one.
         size_px: returns (width, height) of an image, if that is asked for.
+        resized: whether the images may have been scaled since they were calibrated.
 
     Raises:
         InputError: the file is missing or faulty.
@@ -282,7 +291,7 @@ def read_cameras(
     if calibration is None and own_file.exists() and is_stereo_calibration(own_file):
         calibration = own_file
     if calibration is not None:
-        raw = read_stereo_calibration(calibration, size_px())
+        raw = read_stereo_calibration(calibration, size_px(), resized=resized)
         rectification = raw.rectification()
         return Cameras(
             camera=rectification.camera,
@@ -299,6 +308,8 @@ def read_cameras(
         baseline_m=own.baseline_m,
         size_px=(own.width_px, own.height_px),
     )
+    if resized:
+        camera = camera.resized(size_px(), own_file)
     check_camera(camera, own_file)
     imu = own.imu.calibration(str(own_file)) if own.imu is not None else None
     return Cameras(camera=camera, rectification=None, imu=imu, where=own_file)

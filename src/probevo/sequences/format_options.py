@@ -42,6 +42,9 @@ class RosbagOptions(Settings):
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
+    resized: bool = Field(
+        False, description="The images have been scaled since they were calibrated."
+    )
     imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
     truth: Path | None = Field(None, description="Name a file of true poses in TUM's format.")
     truth_of: str | None = Field(
@@ -55,6 +58,9 @@ class FolderOptions(Settings):
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
+    resized: bool = Field(
+        False, description="The images have been scaled since they were calibrated."
+    )
     imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
     truth: Path | None = Field(None, description="Name a file of true poses in TUM's format.")
     truth_of: str | None = Field(
@@ -63,6 +69,11 @@ class FolderOptions(Settings):
     rate_hz: float | None = Field(
         None, gt=0.0, description="Frames a second of a folder without any times: positive."
     )
+    pair_tolerance_ms: float = Field(
+        PAIR_TOLERANCE_MS,
+        gt=0.0,
+        description="The largest time between the images of a pair is positive.",
+    )
 
 
 class EurocOptions(Settings):
@@ -70,6 +81,9 @@ class EurocOptions(Settings):
 
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
+    )
+    resized: bool = Field(
+        False, description="The images have been scaled since they were calibrated."
     )
 
 
@@ -81,6 +95,9 @@ class VideoOptions(Settings):
 
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
+    )
+    resized: bool = Field(
+        False, description="The images have been scaled since they were calibrated."
     )
     rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")
 

@@ -196,7 +196,10 @@ def _check_size(
     width, height = claimed_px
     if size_px is not None:
         what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
-        cure = "All images must have the size that the calibration was made for."
+        cure = (
+            "All images must have the size that the calibration was made for; if all of a folder"
+            " were scaled since, give --resized."
+        )
         raise InputError(where, what, cure)
     if width * height > LARGEST_PX:
         what = f"this image has {width}×{height} px; at most {LARGEST_PX:,} px are decoded."

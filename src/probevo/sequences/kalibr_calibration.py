@@ -7,11 +7,12 @@ IROS 2013; the keys are those of Kalibr's wiki.
 from __future__ import annotations
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import DistortionModel, PinholeCamera
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.calibration_content import CalibrationContent
-from probevo.sequences.stereo_calibration import SizePx, StereoCalibration
+from probevo.sequences.stereo_calibration import StereoCalibration
 
 MODELS: dict[str, DistortionModel] = {
     "radtan": "radtan",

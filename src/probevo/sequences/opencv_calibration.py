@@ -6,11 +6,12 @@ The names are those of OpenCV's sample ``stereo_calib``, which writes ``intrinsi
 
 from __future__ import annotations
 
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import DistortionModel, PinholeCamera, without_unused
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
-from probevo.sequences.stereo_calibration import SizePx, StereoCalibration
+from probevo.sequences.stereo_calibration import StereoCalibration
 
 LEFT_MATRIX = ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left")
 RIGHT_MATRIX = ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "right_camera_matrix", "K_right")

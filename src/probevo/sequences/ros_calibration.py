@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import DistortionModel, PinholeCamera, without_unused
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
-from probevo.sequences.stereo_calibration import SizePx, StereoCalibration
+from probevo.sequences.stereo_calibration import StereoCalibration
 
 MODELS: dict[str, DistortionModel] = {
     "plumb_bob": "radtan",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_scale import ImageScale, SizePx
 from probevo.camera.rectification import (
     DistortionModel,
     PinholeCamera,
@@ -45,6 +47,22 @@ class CameraInfo:
         """Whether the raw images of this camera are rectified already."""
         is_same = np.allclose(self.K, self.P[:, :3], rtol=0.0, atol=1e-6)
         return not self.D.any() and np.allclose(self.R, np.eye(3), atol=1e-9) and is_same
+
+    def resized(self, size_px: SizePx) -> CameraInfo:
+        """Return the calibration for images that were scaled to another size.
+
+        Raises:
+            InputError: the scaled images have another shape.
+        """
+        scale = ImageScale.between(self.size_px, size_px, self.where)
+        factors = np.array([[scale.along_u], [scale.along_v], [1.0]])
+        scaled = copy(self)
+        scaled.size_px = size_px
+        scaled.K = factors * self.K
+        scaled.K[:2, 2] = scale.place(self.K[0, 2], self.K[1, 2])
+        scaled.P = factors * self.P  # the baseline of P is in pixels, too
+        scaled.P[:2, 2] = scale.place(self.P[0, 2], self.P[1, 2])
+        return scaled
 
     def pinhole(self) -> PinholeCamera:
         """Return the camera before rectification.

@@ -234,7 +234,7 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
     imu: ImuCalibration | None
     C_rect_left: FloatArray
     if options.calibration is not None:
-        from_file = read_stereo_calibration(options.calibration, size_px)
+        from_file = read_stereo_calibration(options.calibration, size_px, resized=options.resized)
         rectification = from_file.rectification()
         camera = rectification.camera
         C_rect_left = rectification.C_rect_left
@@ -242,6 +242,9 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
     else:
         left_info = _info(path, content, topics.left, topics.left_info)
         right_info = _info(path, content, topics.right, topics.right_info)
+        if options.resized:
+            left_info = left_info.resized(size_px)
+            right_info = right_info.resized(size_px)
         camera = stereo_camera(left_info, right_info)
         is_rectified = _is_rectified(topics.left, left_info) and _is_rectified(
             topics.right, right_info
@@ -255,7 +258,10 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
             f"its images have {size_px[0]}×{size_px[1]} px, but the CameraInfo is for"
             f" {width_px}×{height_px} px."
         )
-        cure = "Give the calibration of these images with --calibration FILE."
+        cure = (
+            "Give the calibration of these images with --calibration FILE, or --resized if they"
+            " were scaled since they were calibrated."
+        )
         raise InputError(f"{path}: {topics.left}", what, cure)
     imu = with_noise_of(imu, options.imu_noise)
     imu_stream = None if imu is None else _imu_stream(content, topics, imu, stamps_ns, path)
@@ -346,7 +352,7 @@ def _check_pairs(
     apart = pair_stamps(np.array(content.left_ns), np.array(content.right_ns), 10**15).offsets_ns
     if len(apart):
         what += f" Nearest stamps are {1e-6 * np.median(np.abs(apart)):.1f} ms apart in the median."
-    cure = "Are the cameras triggered together? Otherwise raise --topics.pair-tolerance-ms."
+    cure = "Are the cameras triggered together? Otherwise raise --pair-tolerance-ms."
     raise InputError(path, what, cure)
 
 

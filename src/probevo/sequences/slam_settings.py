@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import PinholeCamera
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
-from probevo.sequences.stereo_calibration import SizePx, StereoCalibration
+from probevo.sequences.stereo_calibration import StereoCalibration
 
 
 def is_vins_fusion(content: CalibrationContent) -> bool:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.geometry import se3
 from probevo.sequences.imu_calibration import ImuCalibration
 
-SizePx = tuple[int, int]
-"""Width and height of images."""
 GYRO_NOISE_RAD_S_SQRT_HZ = 1e-3
 """White noise of a consumer MEMS gyro as mounted, vibration included. Data sheets say 1e-4 to 3e-4,
 and Kalibr's users are advised to inflate them five to tenfold."""
@@ -37,6 +36,18 @@ class StereoCalibration:
     """p_left = T_left_imu p_imu, [4, 4], m; None if the file gives no IMU."""
     time_offset_s: float = 0.0
     """t_imu − t_cam, as Kalibr's ``timeshift_cam_imu``."""
+
+    def resized(self, size_px: SizePx) -> StereoCalibration:
+        """Return the calibration for images that were scaled to another size.
+
+        Raises:
+            InputError: the scaled images have another shape.
+        """
+        return replace(
+            self,
+            left=self.left.resized(size_px, self.where),
+            right=self.right.resized(size_px, self.where),
+        )
 
     def rectification(self) -> Rectification:
         """Return the maps that rectify the images.

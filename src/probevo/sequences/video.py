@@ -92,13 +92,19 @@ def open_video(path: Path, options: VideoOptions | None = None) -> VideoRecordin
         sizes = " and ".join(f"{size[0]}×{size[1]}" for size in (c.size_px for c in contents))
         raise InputError(path, f"the sizes of the two videos differ: {sizes} px.")
     folder = path if path.is_dir() else path.parent
-    cameras = read_cameras(folder, options.calibration, lambda: (width, height))
+    cameras = read_cameras(
+        folder, options.calibration, lambda: (width, height), resized=options.resized
+    )
     if cameras.rectification is None and cameras.camera.size_px != (width, height):
         expected = cameras.camera.size_px or (0, 0)
         what = (
             f"it is for images of {expected[0]}×{expected[1]} px; these have {width}×{height} px."
         )
-        raise InputError(cameras.where, what, "Give the calibration of one of the two images.")
+        cure = (
+            "Give the calibration of one of the two images, and --resized if they were scaled since"
+            " they were calibrated."
+        )
+        raise InputError(cameras.where, what, cure)
     count, notes = _paired(path, contents)
     if options.rate_hz is not None:
         stamps_ns = evenly_spaced(count, options.rate_hz)

@@ -1,0 +1,53 @@
+"""Calibrations of images that were scaled to another size after they had been calibrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from probevo.errors import InputError
+
+SizePx = tuple[int, int]
+"""Width and height of images."""
+ROUNDING_PX = 1.0
+"""How far a side may be from what the scale of the other one makes of it: sizes are whole pixels,
+and some tools cut the fraction off."""
+
+
+@dataclass(frozen=True)
+class ImageScale:
+    """How places and focal lengths change where images are scaled."""
+
+    along_u: float
+    along_v: float
+
+    @staticmethod
+    def between(calibrated_px: SizePx, size_px: SizePx, where: str | Path) -> ImageScale:
+        """Return the scale between two sizes of the same images.
+
+        Args:
+            calibrated_px: (width, height) that they were calibrated with.
+            size_px: (width, height) that they have now.
+            where: the calibration, for the message.
+
+        Raises:
+            InputError: the two have not the same shape, so that these are others, or cropped.
+        """
+        along_u = size_px[0] / calibrated_px[0]
+        along_v = size_px[1] / calibrated_px[1]
+        differs = abs(along_u - along_v)
+        if differs * calibrated_px[0] > ROUNDING_PX and differs * calibrated_px[1] > ROUNDING_PX:
+            what = (
+                f"it is for images of {calibrated_px[0]}×{calibrated_px[1]} px; these, of"
+                f" {size_px[0]}×{size_px[1]} px, have another shape."
+            )
+            raise InputError(where, what, "Scaled images keep it; are these cropped?")
+        return ImageScale(along_u, along_v)
+
+    def place(self, u_px: float, v_px: float) -> tuple[float, float]:
+        """Return where a point of the image lies in the scaled one, px.
+
+        Pixel (0, 0) has its centre at the origin, so that the corner of the image, which stays
+        where it is, lies at −½.
+        """
+        return (u_px + 0.5) * self.along_u - 0.5, (v_px + 0.5) * self.along_v - 0.5
