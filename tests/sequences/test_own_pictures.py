@@ -20,7 +20,14 @@ from probevo.sequences.gray_range import GrayRange
 from probevo.sequences.images import read_gray
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import stamps_of_names
-from sequences.recordings import HEIGHT_PX, WIDTH_PX, image, write_folder_sequence, write_image
+from sequences.recordings import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    image,
+    write_folder_sequence,
+    write_image,
+    write_lines,
+)
 
 
 def without_times(root: Path) -> Path:
@@ -83,6 +90,18 @@ def test_stamps_as_names_pair_the_images(tmp_path: Path) -> None:
     assert ((sequence.stamps_ns - start_ns) // 50_000_000).tolist() == [0, 2, 3]
     np.testing.assert_array_equal(list(sequence)[1].right, image(2, right=True))
     assert "1 left, 0 right" in dict(sequence.notes)["! pairs"]
+
+
+def test_the_samples_of_euroc_are_read_as_they_are(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path)
+    expected = open_sequence(path).imu_stream
+    lines = (path / "imu.csv").read_text("utf-8").splitlines()
+    names = [f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"]
+    names += [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
+    write_lines(path / "imu.csv", [",".join(["#timestamp [ns]", *names]), *lines[1:]])
+    found = open_sequence(path).imu_stream
+    for name in ("stamps_ns", "gyro_rad_s", "accel_m_s2"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_cameras_that_are_not_triggered_together_may_be_given_more_time(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ from probevo.sequences.text import read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
 IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
+EUROC_IMU_HEADER = "#timestamp [ns],w_RS_S_x [rad s^-1]"
+"""How the first line of EuRoC's ``imu0/data.csv`` begins, which has the same columns."""
 
 
 def _join_rows(value: object) -> object:
@@ -132,7 +134,8 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
                        or a calibration of raw images, see ``calibration_files``
         times.txt      time of each frame, one a line: seconds, or whole nanoseconds. Not needed
                        where file names are stamps (then these pair the images), or with rate_hz
-        imu.csv        (optional) header stamp_ns,wx,wy,wz,ax,ay,az: rad/s and m/s² in the IMU frame
+        imu.csv        (optional) header stamp_ns,wx,wy,wz,ax,ay,az: rad/s and m/s² in the IMU
+                       frame; or a data.csv of EuRoC's imu0
         poses.txt      (optional) ground truth T_world_cam: the 12 numbers of KITTI a line, nan
                        where unknown
 
@@ -358,7 +361,8 @@ def _read_imu(path: Path, cameras: Cameras, frames_ns: IntArray) -> ImuStream | 
     if not samples.exists() and not is_own:
         return None  # a calibration of cameras and IMU, of a recording of the cameras
     cure = "Without an IMU, leave out the section imu of calib.yaml."
-    stamps_ns, values = read_stamped_csv(samples, 6, header=IMU_HEADER, cure=cure)
+    header = None if _is_of_euroc(samples) else IMU_HEADER
+    stamps_ns, values = read_stamped_csv(samples, 6, header=header, cure=cure)
     return ImuStream.checked(
         cameras.imu.on_image_clock(stamps_ns),
         gyro_rad_s=values[:, :3],
@@ -366,3 +370,12 @@ def _read_imu(path: Path, cameras: Cameras, frames_ns: IntArray) -> ImuStream | 
         frames_ns=frames_ns,
         where=samples,
     )
+
+
+def _is_of_euroc(samples: Path) -> bool:
+    """Return whether a file of samples begins as those of EuRoC do."""
+    if not samples.is_file():
+        return False  # whoever reads it says that it is missing
+    with samples.open("rb") as file:
+        start = file.read(len(EUROC_IMU_HEADER))
+    return start == EUROC_IMU_HEADER.encode()
