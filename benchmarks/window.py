@@ -96,7 +96,7 @@ def run(
     yield estimator, np.array(live), found
     poses = smoothed.poses(odometry.window)
     if poses is not None:
-        yield "smoothed", poses, Consistency([], [], [])
+        yield "smoothed", poses.T_world_cam, Consistency([], [], [])
 
 
 def nees(T: FloatArray, truth: FloatArray, cov: FloatArray) -> float:

@@ -556,9 +556,17 @@ def test_the_window_writes_the_smoothed_path_too(wall: Path, tmp_path: Path) -> 
     _, smoothed = read_tum(out / "trajectory.smoothed.tum")
     np.testing.assert_allclose(smoothed[-1], live[-1], atol=1e-9)
     assert np.abs(smoothed[2:-4] - live[2:-4]).max() > 0.0
+    # Later frames make a pose more certain, and the newest one has none.
+    result = read_motions(out)
+    assert result.smoothed_cov is not None
+    live_cov = result.drift_covariances_from(0)
+    assert len(result.smoothed_cov) == len(smoothed)
+    np.testing.assert_allclose(result.smoothed_cov[-1], live_cov[-1], rtol=1e-6, atol=1e-15)
+    assert np.trace(result.smoothed_cov[3]) < np.trace(live_cov[3])
     np.testing.assert_allclose(
         read_kitti_poses(out / "trajectory.smoothed.kitti.txt"), smoothed, atol=1e-9
     )
     assert json.loads((out / "metrics.json").read_text())["smoothed"]["armse_m"] >= 0.0
     assert main([*words[:4], "--estimator", "two-frame", "--max-frames", "2"]) == 0
     assert not (out / "trajectory.smoothed.tum").exists()
+    assert read_motions(out).smoothed_cov is None

@@ -236,6 +236,22 @@ def test_live_and_smoothed_poses_are_apart(
         np.testing.assert_allclose(read_by_evo(path, topic), expected, atol=1e-12)
 
 
+def test_smoothed_poses_have_the_covariance_of_live_ones_that_are_alike(
+    tmp_path: Path, make_run: Callable[..., RunResult]
+) -> None:
+    run = make_run(20)
+    path = tmp_path / "odometry.mcap"
+    run = with_covariances(run)
+    alike = replace(run, smoothed=run.T_world_cam, smoothed_cov=run.drift_covariances_from(0))
+    write_odometry_bag(path, alike, ROS)
+    messages = read(path)
+    for smoothed, live in zip(messages["/smoothed/pose"], messages["/odometry"], strict=True):
+        np.testing.assert_allclose(
+            covariance(smoothed.pose), covariance(live.pose), rtol=1e-9, atol=1e-15
+        )
+    assert covariance(live.pose).any()
+
+
 def test_a_stamp_before_1970_is_refused(tmp_path: Path, make_run: Callable[..., RunResult]) -> None:
     run = make_run(3)
     run = replace(run, stamps_ns=run.stamps_ns - 2 * 10**18)

@@ -1,4 +1,4 @@
-"""``motions.npz``: a run as it was, but for the smoothed path, which has a file of its own.
+"""``motions.npz``: a run as it was, but for the smoothed poses, which have a file of their own.
 
 Its trajectory, evaluation and odometry bag all follow from this file.
 """
@@ -39,6 +39,8 @@ _UNUSABLE = "unusable_"
 _CURE = "Expected a motions.npz written by `probevo run` of this version."
 _STEPS = -1
 """Stands for N-1 in a shape."""
+_FRAMES = -2
+"""Stands for N."""
 _SENSORS = TypeAdapter(dict[str, SensorUse])
 
 
@@ -76,6 +78,7 @@ def _scale(array: AnyArray) -> AccelerometerScale:
 _OPTIONAL = {
     "num_used": _Optional((_STEPS,), np.asarray),
     "num_out_of_domain": _Optional((_STEPS,), np.asarray),
+    "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "right_delay_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
@@ -188,7 +191,7 @@ def read_motions(path: Path | str) -> RunResult:
         unusable=_counts(path, arrays, _UNUSABLE),
         ground_height=_ground_height(path, arrays),
         **{
-            name: _read_optional(path, arrays, name, steps=steps)
+            name: _read_optional(path, arrays, name, steps=steps, frames=n)
             for name in _OPTIONAL
             if name in arrays
         },
@@ -209,7 +212,9 @@ def _counts(path: Path, arrays: dict[str, AnyArray], prefix: str) -> dict[str, i
     }
 
 
-def _read_optional(path: Path, arrays: dict[str, AnyArray], name: str, *, steps: int) -> Any:
+def _read_optional(
+    path: Path, arrays: dict[str, AnyArray], name: str, *, steps: int, frames: int
+) -> Any:
     """Read a field of ``_OPTIONAL`` from its array.
 
     Raises:
@@ -221,7 +226,8 @@ def _read_optional(path: Path, arrays: dict[str, AnyArray], name: str, *, steps:
         if array.shape != () or array.dtype.kind != "U":
             raise InputError(path, f"{name} is no text", _CURE)
     else:
-        shape = tuple(steps if size == _STEPS else size for size in optional.shape)
+        sizes = {_STEPS: steps, _FRAMES: frames}
+        shape = tuple(sizes.get(size, size) for size in optional.shape)
         array = _take(path, arrays, name, shape=shape)
     try:
         return optional.read(array)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_estimate import Status
 from probevo.output.bag_writer import BagWriter, written_bag
@@ -16,7 +17,12 @@ from probevo.output.ros_fields import (
     transform_fields,
     vector_fields,
 )
-from probevo.output.ros_odometry import RosOdometry, T_odom_base_of, ros_odometry
+from probevo.output.ros_odometry import (
+    RosOdometry,
+    T_odom_base_of,
+    pose_cov_of,
+    ros_odometry,
+)
 from probevo.output.run_result import RunResult
 from probevo.run_config import RosSettings
 
@@ -37,7 +43,8 @@ def write_odometry_bag(
     ``base_link``), ``/tf_static`` (``base_link`` ← left camera), ``/diagnostics`` (the status of
     each step), and once, if the camera is known, its ``camera_info``. All of these are live: a
     message knows nothing of later frames. With a window, the poses as later frames improved them
-    are apart, in ``/smoothed/pose`` (geometry_msgs/PoseStamped, without covariance).
+    are apart, in ``/smoothed/pose`` (geometry_msgs/PoseWithCovarianceStamped; a covariance of zeros
+    is one that is not known).
 
     Args:
         path: a file .bag (ROS 1), .mcap or .db3 (ROS 2).
@@ -66,16 +73,32 @@ def write_odometry_bag(
         for index in range(len(result)):
             _write_frame(bag, index, result, odometry=odometry, ros=ros)
         if result.smoothed is not None:
-            smoothed = T_odom_base_of(result.smoothed, T_base_cam)
-            for stamp_ns, T_odom_base in zip(result.stamps_ns, smoothed, strict=True):
-                fields = {"pose": pose_fields(T_odom_base)}
-                bag.write(
-                    SMOOTHED,
-                    "geometry_msgs/msg/PoseStamped",
-                    int(stamp_ns),
-                    fields,
-                    frame=ros.odom_frame,
-                )
+            _write_smoothed(bag, result.stamps_ns, result.smoothed, result.smoothed_cov, ros=ros)
+
+
+def _write_smoothed(
+    bag: BagWriter,
+    stamps_ns: IntArray,
+    T_world_cam: FloatArray,
+    cov: FloatArray | None,
+    *,
+    ros: RosSettings,
+) -> None:
+    """Add the poses of all frames as they left the window, [N, 4, 4], and their covariances."""
+    T_base_cam = np.reshape(ros.T_base_cam, (4, 4))
+    T_odom_base = T_odom_base_of(T_world_cam, T_base_cam)
+    pose_cov = np.zeros((len(T_odom_base), 6, 6))
+    if cov is not None:
+        pose_cov = pose_cov_of(cov, T_odom_base, T_base_cam)
+    for index, stamp_ns in enumerate(stamps_ns):
+        pose = {"pose": pose_fields(T_odom_base[index]), "covariance": pose_cov[index]}
+        bag.write(
+            SMOOTHED,
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            int(stamp_ns),
+            {"pose": pose},
+            frame=ros.odom_frame,
+        )
 
 
 def _write_frame(

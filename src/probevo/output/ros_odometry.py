@@ -56,8 +56,6 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
     path_cov = drift_covariances(
         result.T_curr_prev, result.cov, result.common_mode, path_cross_cov=result.path_cross_cov
     )
-    turned = _block_diagonal(T_odom_base[:, :3, :3]) @ adjoint
-    pose_cov = turned @ path_cov @ turned.mT
 
     # The velocity of the body is constant during a step, so that both ends have the same.
     duration_s = 1e-9 * np.diff(result.stamps_ns)[:, None]
@@ -67,7 +65,7 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
     return RosOdometry(
         stamps_ns=result.stamps_ns,
         T_odom_base=T_odom_base,
-        pose_cov=_symmetric(pose_cov),
+        pose_cov=pose_cov_of(path_cov, T_odom_base, T_base_cam),
         twist=np.concatenate([np.zeros((1, 6)), xi / duration_s]),
         twist_cov=np.concatenate(
             [
@@ -86,6 +84,20 @@ def T_odom_base_of(T_world_cam: FloatArray, T_base_cam: FloatArray) -> FloatArra
         T_base_cam: its pose in ``base_link``, [4, 4], m.
     """
     return np.asarray(T_base_cam @ T_world_cam @ se3.inverse(T_base_cam))
+
+
+def pose_cov_of(
+    path_cov: FloatArray, T_odom_base: FloatArray, T_base_cam: FloatArray
+) -> FloatArray:
+    """Return the covariances of poses as ROS has them (``RosOdometry.pose_cov``), [N, 6, 6].
+
+    Args:
+        path_cov: those of the left perturbations of T_cam_world, [N, 6, 6].
+        T_odom_base: the poses, [N, 4, 4], m.
+        T_base_cam: pose of the rectified left camera in ``base_link``, [4, 4], m.
+    """
+    turned = _block_diagonal(T_odom_base[:, :3, :3]) @ se3.adjoint(T_base_cam)
+    return _symmetric(turned @ path_cov @ turned.mT)
 
 
 def _block_diagonal(C: FloatArray) -> FloatArray:

@@ -115,6 +115,9 @@ class RunResult:
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
+    smoothed_cov: FloatArray | None = None
+    """Covariance of the left perturbation of T_cam_world of these, [N, 6, 6], m and rad; None for
+    the two-frame estimator, and in files of versions that did not store it."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None

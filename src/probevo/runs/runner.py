@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -269,6 +269,7 @@ class _Records:
         rig = odometry.rig
         result = self.recorder.result()
         self.smoothed.add(odometry.window)  # adding a pose again changes nothing
+        smoothed = self.smoothed.poses(odometry.window, num_frames=len(result))
         return replace(
             result,
             accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
@@ -276,7 +277,8 @@ class _Records:
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
             focal_length=None if rig is None else rig.focal.error(),
-            smoothed=self.smoothed.poses(odometry.window, num_frames=len(result)),
+            smoothed=None if smoothed is None else smoothed.T_world_cam,
+            smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
             imu_left_out=reason_not_used(odometry.window),
@@ -397,12 +399,21 @@ def _absolute_viewer(path: Path) -> Path:
     return path if path == WINDOW else path.resolve()
 
 
+class SmoothedPoses(NamedTuple):
+    """The poses of N frames, with all that later frames of the window say of them."""
+
+    T_world_cam: FloatArray
+    """[N, 4, 4], m."""
+    cov: FloatArray
+    """Covariance of the left perturbation of T_cam_world, [N, 6, 6], m and rad."""
+
+
 class SmoothedPath:
-    """Collects the poses that leave the window, 136 bytes each."""
+    """Collects the poses that leave the window, 424 bytes each."""
 
     def __init__(self) -> None:
-        self._left = Rows(np.float64, 1 + 16)
-        """Index of the frame, T_world_cam."""
+        self._left = Rows(np.float64, 1 + 16 + 36)
+        """Index of the frame, T_world_cam, covariance."""
 
     def add(self, window: Window | None) -> None:
         """Take the poses that left the window in the last step; those taken before may be among
@@ -411,31 +422,33 @@ class SmoothedPath:
             for pose in window.marginalized:
                 self._left.add(_smoothed_row(pose))
 
-    def poses(self, window: Window | None, *, num_frames: int | None = None) -> FloatArray | None:
-        """Return T_world_cam of all frames, whether they have left the window or are still in it.
+    def poses(
+        self, window: Window | None, *, num_frames: int | None = None
+    ) -> SmoothedPoses | None:
+        """Return the poses of all frames, whether they have left the window or are still in it.
 
         Args:
-            window: as it is now.
+            window: as it is now; None if there is none, and no poses either.
             num_frames: leave out the frames from this number on; None for all.
-
-        Returns:
-            Poses of N frames, [N, 4, 4], m; None without a window.
         """
         if window is None:
             return None
         in_window = [_smoothed_row(window.pose(slot)) for slot in range(len(window))]
-        rows = np.concatenate([self._left.table(), np.reshape(in_window, (-1, 1 + 16))])
+        rows = np.concatenate([self._left.table(), np.array(in_window)])
         # One row a frame, in their order: a blind frame leaves before those that features connect,
         # and a pose may have been added again.
         frames, of_frame = np.unique(rows[:, 0], return_index=True)
         if num_frames is not None:
             of_frame = of_frame[frames < num_frames]
-        return rows[of_frame, 1:].reshape(-1, 4, 4)
+        chosen = rows[of_frame]
+        return SmoothedPoses(
+            T_world_cam=chosen[:, 1:17].reshape(-1, 4, 4), cov=chosen[:, 17:].reshape(-1, 6, 6)
+        )
 
 
 def _smoothed_row(pose: SmoothedPose) -> FloatArray:
-    """Return the index of a pose's frame, and its T_world_cam, [17]."""
-    return np.concatenate([[pose.frame], pose.T_world_cam.ravel()])
+    """Return the index of a pose's frame, its T_world_cam and its covariance, [53]."""
+    return np.concatenate([[pose.frame], pose.T_world_cam.ravel(), pose.cov.ravel()])
 
 
 @dataclass(frozen=True)
