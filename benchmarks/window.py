@@ -95,8 +95,15 @@ def run(
             found.window.append(nees(T, se3.inverse(truth[k]) @ truth[k - SPAN], cov))
     yield estimator, np.array(live), found
     poses = smoothed.poses(odometry.window)
-    if poses is not None:
-        yield "smoothed", poses.T_world_cam, Consistency([], [], [])
+    if poses is None:
+        return
+    of_path = []
+    for k in range(EVERY, len(truth), EVERY):
+        if np.isfinite(truth[[0, k]]).all():
+            T_cam_world = se3.inverse(poses.T_world_cam[k])
+            from_first = se3.inverse(truth[k]) @ truth[0]
+            of_path.append(nees(T_cam_world, from_first, poses.cov[k]))
+    yield "smoothed", poses.T_world_cam, Consistency([], [], of_path)
 
 
 def nees(T: FloatArray, truth: FloatArray, cov: FloatArray) -> float:
