@@ -94,7 +94,7 @@ FIGURES = (
     Figure(
         "carried-rigs",
         ("docs/accuracy.md",),
-        "python benchmarks/random_rigs.py --carried --count 12 --seed 7500",
+        "python benchmarks/random_rigs.py --carried --count 12 --seed 7600",
         minutes=15,
     ),
     Figure(
@@ -106,6 +106,13 @@ FIGURES = (
     ),
     Figure(
         "window", ("docs/window.md",), "python benchmarks/window.py", minutes=10, needs_data=True
+    ),
+    Figure(
+        "window-learning",
+        ("docs/window.md",),
+        "python benchmarks/window_learning.py",
+        minutes=40,
+        needs_data=True,
     ),
     Figure(
         "window-imu",

@@ -3,9 +3,10 @@
     python benchmarks/window_learning.py [--of rendered real] [--models out/window_learning]
 
 The static Student-t and generalized kernels are learned from a rendered city, clean and with
-effects, and tested on the streets of ``window.py``, which are other places; and from raw 0005 and
-``kitti_0039``, tested on odometry 06. Prints the table of ``window.py`` for the untrained and for
-both learned models, with both estimators.
+effects, and tested on the streets of ``window.py``, which are other places; and from real
+recordings, and tested on those that were left out. Prints the table of ``window.py`` for the
+untrained and for both learned models, with both estimators. Models that are there already are not
+learned again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 import cv2
-from recordings import ROOT
+from plain_odometry import RECORDINGS
 from window import EFFECTS, head, show, show_scenes
 
 import probevo as pv
@@ -33,13 +34,15 @@ TRAINING_STREETS = (
     SceneConfig(preset="city", seed=1, distance_m=100.0),
     SceneConfig(preset="city", seed=2, distance_m=100.0, effects=EFFECTS),
 )
-REAL_TRAINING = (
-    ROOT / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0005_sync",
-    ROOT / "kitti_0039" / "sequences" / "39",
-)
-REAL_TEST = ROOT / "kitti_odometry" / "sequences" / "06"
-FIRST_TRUE_FRAME = 12
-"""The truth of odometry 06 is filled in before it."""
+RAW_0005 = RECORDINGS["raw 0005"][0]
+KITTI_0039 = RECORDINGS["kitti_0039"][0]
+REAL_TRAINING = {
+    "odometry 06 from frame 12": [RAW_0005, KITTI_0039],
+    "raw 0005": [KITTI_0039],
+    "kitti_0039": [RAW_0005],
+}
+"""What is learned from, by the recording of ``window.py`` that it is tested on. Odometry 06 is of
+another day, with another calibration."""
 
 
 def noises(folder: Path, world: str, recordings: list[Path]) -> dict[str, str]:
@@ -60,36 +63,39 @@ def rendered_streets(folder: Path) -> list[Path]:
     return [folder / str(number) for number in range(len(TRAINING_STREETS))]
 
 
+def compare_rendered(models: Path) -> None:
+    """Learn from rendered streets, and print the table of others."""
+    with tempfile.TemporaryDirectory() as folder:
+        names = noises(models, "rendered", rendered_streets(Path(folder)))
+    for name, noise in names.items():
+        print(head(name), flush=True)
+        show_scenes(noise)
+
+
+def compare_real(models: Path) -> None:
+    """Learn from real recordings, and print the rows of those that were left out."""
+    for test, recordings in REAL_TRAINING.items():
+        path, first = RECORDINGS[test]
+        for name, noise in noises(models, test, recordings).items():
+            print(head(name), flush=True)
+            show(test, pv.open_sequence(path), first, noise)
+
+
+COMPARISONS = {"rendered": compare_rendered, "real": compare_real}
+
+
 def main() -> None:
     """Learn where needed, and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument(
-        "--of", nargs="+", choices=("rendered", "real"), default=["rendered", "real"]
-    )
+    parser.add_argument("--of", nargs="+", choices=COMPARISONS, default=list(COMPARISONS))
     parser.add_argument("--models", type=Path, default=Path("out/window_learning"))
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     arguments.models.mkdir(parents=True, exist_ok=True)
     for world in arguments.of:
-        with tempfile.TemporaryDirectory() as folder:
-            if world == "rendered":
-                recordings = rendered_streets(Path(folder))
-            else:
-                recordings = list(REAL_TRAINING)
-            models = noises(arguments.models, world, recordings)
-        for name, noise in models.items():
-            print(head(name), flush=True)
-            if world == "rendered":
-                show_scenes(noise)
-            else:
-                show(
-                    "odometry 06 from frame 12",
-                    pv.open_sequence(REAL_TEST),
-                    FIRST_TRUE_FRAME,
-                    noise,
-                )
+        COMPARISONS[world](arguments.models)
 
 
 if __name__ == "__main__":

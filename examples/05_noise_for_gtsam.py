@@ -86,7 +86,9 @@ def solve(
 def main(path: str, noise: str) -> None:
     """Print both motions of every step, and how far GTSAM's is from probevo's."""
     sequence = pv.open_sequence(path)
-    odometry = pv.StereoOdometry(sequence.camera, noise_model(noise), sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera, noise_model(noise), sequence.imu, config={"estimator": "two-frame"}
+    )
     np.set_printoptions(precision=3, suppress=True, linewidth=200)
     for frame in sequence:
         before = odometry.state
