@@ -65,7 +65,8 @@ and estimates the covariance of each step.
   probevo stress SEQUENCE --out DIR
       run on spoiled versions of a recording, and compare errors with claims
   probevo paper EXPERIMENT --out DIR
-      repeat an experiment of the papers: blur, table-i, table-1.2, table-1.3, sun, hydranet, dpc-net
+      repeat an experiment of the papers: blur, table-i, table-1.2, table-1.3, sun, hydranet,
+      dpc-net
   probevo demo --out DIR
       compare all noise models on two simulated drives, on one page
 
