@@ -443,12 +443,13 @@ def soak_live(
     )
     soak = LiveSoak(odometry, faults, watch)
     injected: Counter[str] = Counter()
+    waiting = None  # the image of a frame that the odometry may not have seen yet
     for item in played:
         if watch.is_over():
             break
         frame = item.frame
-        state = odometry.state
-        if state is not None and frame.left is not None and frame.left is state.frame.left:
+        held = [waiting] if odometry.state is None else [odometry.state.frame.left, waiting]
+        if frame.left is not None and any(frame.left is image for image in held):
             # The recording has turned where a frame was lost or failed: an image that the odometry
             # still holds is rightly refused.
             continue
@@ -473,6 +474,7 @@ def soak_live(
             injected["frames at once with the next"] += 1
             wait = False
         soak.push(frame, wait=wait)
+        waiting = None if wait else frame.left
     soak.end()
     counted = soak.counted
     raised = faults.injected["sensor"] + faults.injected["noise model"]
