@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from probevo.errors import InputError
 
@@ -51,3 +52,13 @@ class ImageScale:
         where it is, lies at −½.
         """
         return (u_px + 0.5) * self.along_u - 0.5, (v_px + 0.5) * self.along_v - 0.5
+
+    def intrinsics(self, fu_px: float, fv_px: float, cu_px: float, cv_px: float) -> dict[str, Any]:
+        """Return focal lengths and principal point of the scaled image by their names, px."""
+        cu_scaled_px, cv_scaled_px = self.place(cu_px, cv_px)
+        return {
+            "fu_px": fu_px * self.along_u,
+            "fv_px": fv_px * self.along_v,
+            "cu_px": cu_scaled_px,
+            "cv_px": cv_scaled_px,
+        }

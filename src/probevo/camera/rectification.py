@@ -53,15 +53,8 @@ class PinholeCamera:
             InputError: the scaled images have another shape.
         """
         scale = ImageScale.between(self.size_px, size_px, where)
-        cu_px, cv_px = scale.place(self.cu_px, self.cv_px)
-        return replace(
-            self,
-            fu_px=self.fu_px * scale.along_u,
-            fv_px=self.fv_px * scale.along_v,
-            cu_px=cu_px,
-            cv_px=cv_px,
-            size_px=size_px,
-        )
+        intrinsics = scale.intrinsics(self.fu_px, self.fv_px, self.cu_px, self.cv_px)
+        return replace(self, **intrinsics, size_px=size_px)
 
 
 @dataclass(frozen=True)

@@ -64,15 +64,8 @@ class StereoCamera:
         if self.size_px is None:
             raise InputError(where, "the size of its images is not known.")
         scale = ImageScale.between(self.size_px, size_px, where)
-        cu_px, cv_px = scale.place(self.cu_px, self.cv_px)
-        return replace(
-            self,
-            fu_px=self.fu_px * scale.along_u,
-            fv_px=self.fv_px * scale.along_v,
-            cu_px=cu_px,
-            cv_px=cv_px,
-            size_px=size_px,
-        )
+        intrinsics = scale.intrinsics(self.fu_px, self.fv_px, self.cu_px, self.cv_px)
+        return replace(self, **intrinsics, size_px=size_px)
 
     def project(self, points: FloatArray) -> FloatArray:
         """Project points: y = f(p) (PROBE eq. 2).
