@@ -16,6 +16,7 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple, get_args
 
+import joblib
 import numpy as np
 from recordings import ROOT
 from scipy.stats import spearmanr
@@ -265,9 +266,11 @@ def main() -> None:
     methods = get_args(MethodName)
     parser.add_argument("--methods", nargs="+", choices=methods, default=[methods[0]])
     arguments = parser.parse_args()
-    folders = []
-    for number in range(arguments.scenes):
-        folders.append(write_scene(scene(number), arguments.out / f"{number:04d}"))
+    # A street has few frames to share among threads: each process renders its own.
+    folders = joblib.Parallel(n_jobs=-1)(
+        joblib.delayed(write_scene)(scene(number), arguments.out / f"{number:04d}", jobs=1)
+        for number in range(arguments.scenes)
+    )
     sequences = [open_sequence(folder) for folder in folders]
     networks = {
         method: trained(method, sequences[:-NUM_TESTED], arguments.out)

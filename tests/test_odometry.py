@@ -99,6 +99,31 @@ def test_covariance_of_two_frames_is_consistent(noise: Fixed | None) -> None:
     assert low < np.mean(nees) < high
 
 
+@pytest.mark.parametrize("sigma_px", [0.06, 0.5])
+def test_covariance_is_consistent_where_the_noise_model_is_not(sigma_px: float) -> None:
+    """Errors a third or three times as large as the noise model says: once the odometry has learned
+    that, ANEES of 200 motions lies in the 99.9 % interval of χ²(6)/200."""
+    frames = drive(np.random.default_rng(2), 221, sigma_px=sigma_px)
+    motions = run(frames, PLAIN.model_copy(update=TWO_FRAMES))[21:]
+    nees = [normalized_error_squared(FORWARD, motion.T_curr_prev, motion.cov) for motion in motions]
+    low, high = chi2_interval(6, len(nees))
+    assert low < np.mean(nees) < high
+    # A Gaussian of 0.2 px fits the Student-t of the model: its σ is 0.17 px.
+    assert np.sqrt(motions[-1].noise_factor) == pytest.approx(sigma_px / 0.2, rel=0.1)
+
+
+def test_the_running_scale_of_the_noise_learns_nothing_at_rest() -> None:
+    """What does not move has the same errors in both frames."""
+    frames = drive(np.random.default_rng(2), 40, np.eye(4), sigma_px=0.02)
+    assert [motion.noise_factor for motion in run(frames)] == [1.0] * 40
+
+
+def test_the_noise_of_the_model_is_taken_as_it_is_on_request() -> None:
+    config = PLAIN.model_copy(update={"solver": SolverConfig(noise_scale="model")})
+    motions = run(drive(np.random.default_rng(2), 20, sigma_px=0.06), config)
+    assert {motion.noise_factor for motion in motions} == {1.0}
+
+
 def test_the_doubt_of_the_calibration_makes_the_covariance_no_smaller_than_the_error() -> None:
     """With a perfect rig it is conservative, as it cannot know that; yet not by orders of
     magnitude."""

@@ -132,6 +132,14 @@ class SolverConfig(Settings):
             " noise model."
         ),
     )
+    noise_scale: Literal["online", "model"] = Field(
+        "online",
+        description=(
+            "Variances of the noise model: online multiplies them by a running factor that the"
+            " residuals of this recording show, if the model has tails; model takes them as they"
+            " are."
+        ),
+    )
     max_iterations: int = Field(
         50,
         ge=1,

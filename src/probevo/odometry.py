@@ -334,6 +334,7 @@ class StereoOdometry:
             disparities=state.disparities,
             measurements=of_motion,
             curr=pose_of(index),
+            noise_factor=state.noise_scale.factor,
         )
         calibrated = self._estimator.estimate(
             observed.corrected,
@@ -399,6 +400,7 @@ class StereoOdometry:
             motion,
             T_world_cam=fusion.pose.T_world_cam,
             pose_cov=fusion.pose.cov,
+            noise_factor=state.noise_scale.factor,
             sensors=outcomes,
             imu_left_out=inertial.reason_left_out(window),
             stage_ms=clock.times_ms,
@@ -422,8 +424,8 @@ class StereoOdometry:
 
         Returns:
             The motion; after a recovery, it is that from the last usable frame. The state with
-            tracking, rig, gyro bias, motion model, disparities and residuals updated, and all else
-            as before the step.
+            tracking, rig, gyro bias, motion model, disparities, residuals and noise scale updated,
+            and all else as before the step.
         """
         state = prediction.state
         visual = solved.visual
@@ -452,9 +454,10 @@ class StereoOdometry:
         motion = solved.calibrated.accepted()
         residuals = LastResiduals.none()
         if solved.recovery is not None:
-            # It is several steps long: it gives the mean velocity only, and leaves the predictors
-            # no residuals of a single step.
+            # It is several steps long: it gives the mean velocity only, leaves the predictors no
+            # residuals of a single step, and has the noise of longer ways over the image.
             motion = solved.recovery.accepted(motion)
+            noise_scale = state.noise_scale
             model = state.motion_model.after_recovery(
                 duration_s,
                 solved.observed.prediction.duration_s,
@@ -462,6 +465,7 @@ class StereoOdometry:
                 cov=motion.cov,
             )
         else:
+            noise_scale = state.noise_scale.after(visual.noise_factor_shown)
             model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
             if self.predictors.depends_on_previous_motion:
                 residuals = LastResiduals.left_by(solved.tracks, visual.T_reference, self.camera)
@@ -475,6 +479,7 @@ class StereoOdometry:
             motion_model=model,
             disparities=visual.disparities,
             residuals=residuals,
+            noise_scale=noise_scale,
         )
 
     def _adjust(

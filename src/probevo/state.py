@@ -21,6 +21,7 @@ from probevo.estimation.inertial import (
 )
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.noise_scale import NoiseScale
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.recovery import (
     MOST_DURATION_S,
@@ -166,6 +167,8 @@ class OdometryState:
     disparities: DisparityFilter
     residuals: LastResiduals
     """Residuals of the last step's features, by landmark."""
+    noise_scale: NoiseScale
+    """How large the errors of the features are against their noise model."""
     fusion: SensorFusion
     """Pose of the camera in the world (the first camera), and the tests of each sensor that
     corrects it."""
@@ -209,6 +212,7 @@ class OdometryState:
             gyro_bias=GyroBias.initial(imu) if imu else None,
             motion_model=MotionModel.at_start(config.motion_model),
             disparities=DisparityFilter.none(),
+            noise_scale=NoiseScale(),
             residuals=LastResiduals.none(),
             fusion=SensorFusion.at_origin(sensor_names),
             step=StepFeatures.none(num_columns),

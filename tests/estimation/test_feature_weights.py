@@ -74,6 +74,13 @@ def test_under_another_loss_it_is_the_robust_weight_of_that_loss(loss: str) -> N
     assert np.abs(comparable - found.weight).max() > 0.05
 
 
+@pytest.mark.parametrize("dof", [0.5, 1.0, 2.5, 7.3, 100.0, 1e5])
+def test_residuals_at_their_median_have_the_scale_one(dof: float) -> None:
+    """The median of a squared length, d = 4 times that of F(4, ν)."""
+    median = 4.0 * float(f_distribution.median(4, dof))
+    assert scale_of_residuals(np.array([median]), np.array([dof])) == pytest.approx(1.0, abs=1e-4)
+
+
 @pytest.mark.parametrize("dof", [1.0, 5.0, np.inf])
 def test_the_scale_of_residuals_is_their_factor_over_the_noise(dof: float) -> None:
     """A third of outliers makes it larger, never smaller."""

@@ -24,7 +24,7 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise import NoiseModel, StereoNoise, StudentT
+from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, seen_twice, tracks_of
@@ -175,6 +175,55 @@ def test_features_out_of_domain_are_counted_among_those_used() -> None:
     assert plain.noise is not None
     assert plain.noise.out_of_domain is None
     assert plain.num_out_of_domain is None
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0, 5.0])
+def test_a_noise_factor_is_a_larger_scale_of_the_model(factor: float) -> None:
+    """A motion under a model's variances times the factor is that of a model with these variances,
+    to the bit; and residuals show the same either way."""
+    tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.3)
+    scale = 0.03 * np.eye(4)
+
+    def solved(model_factor: float, noise_factor: float) -> VisualMotion:
+        estimator = VisualEstimator(
+            CAMERA, StudentT(4.0, model_factor * scale), CONFIG, predicts_from_motion=False
+        )
+        return estimator.estimate(
+            tracks,
+            np.zeros((len(tracks), 0)),
+            replace(priors_of(), noise_factor=noise_factor),
+            rng=np.random.default_rng(0),
+            clock=StageClock(),
+        )
+
+    by_factor = solved(1.0, factor)
+    by_model = solved(factor, 1.0)
+    for name in ("T_curr_prev", "cov"):
+        np.testing.assert_allclose(
+            getattr(by_factor.accepted_solution, name),
+            getattr(by_model.accepted_solution, name),
+            rtol=1e-12,
+        )
+    assert by_factor.noise_factor_shown is not None
+    assert by_model.noise_factor_shown is not None
+    assert by_factor.noise_factor_shown == pytest.approx(factor * by_model.noise_factor_shown)
+
+
+@pytest.mark.parametrize("sigma_px", [0.05, 0.2, 0.6, 1.0])
+def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
+    """Gaussian errors, under a noise that is nearly Gaussian: whether the noise is that of the
+    model, or less, or so much more that the covariance is enlarged or the solve repeated."""
+    tracks = seen_twice(np.random.default_rng(0), 400, sigma_px=sigma_px, depth_m=NEAR_M)
+    visual = estimate(tracks, noise=StudentT(100.0, 0.2**2 * np.eye(4)))
+    assert visual.noise_factor_shown == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
+
+
+def test_neither_rest_nor_gaussian_noise_shows_a_factor() -> None:
+    moving = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
+    resting = seen_twice(np.random.default_rng(0), 200, np.eye(4), sigma_px=0.2)
+    assert estimate(moving).noise_factor_shown is not None
+    assert estimate(moving, noise=Fixed()).noise_factor_shown is None
+    assert estimate(resting).noise_factor_shown is None
 
 
 def test_where_nothing_is_solved_nothing_is_used_and_nothing_out_of_domain() -> None:

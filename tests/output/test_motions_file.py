@@ -57,6 +57,7 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "num_inliers": ((4,), "<i8"),
         "num_used": ((4,), "<i8"),
         "num_out_of_domain": ((4,), "<i8"),
+        "noise_factor": ((4,), "<f8"),
         "common_mode": ((4, 6, COMMON_MODE_COLUMNS), "<f8"),
         "path_cross_cov": ((4, 6, 6), "<f8"),
         "total_ms": ((4,), "<f8"),
@@ -81,17 +82,18 @@ def test_files_from_before_the_path_was_stored(
     assert old.sensors == {}
 
 
-def test_files_from_before_the_features_were_counted(
+def test_files_from_before_the_features_were_counted_and_their_noise_scaled(
     make_run: Callable[..., RunResult], tmp_path: Path
 ) -> None:
     run = make_run(5, outside=7)
     write_motions(tmp_path / "new.npz", run)
     with np.load(tmp_path / "new.npz") as archive:
-        old_names = set(archive.files) - {"num_used", "num_out_of_domain"}
+        old_names = set(archive.files) - {"num_used", "num_out_of_domain", "noise_factor"}
         np.savez(tmp_path / "old.npz", **{name: archive[name] for name in old_names})
     old = read_motions(tmp_path / "old.npz")
     np.testing.assert_array_equal(old.cov, run.cov)
     assert (old.num_used, old.num_out_of_domain, old.out_of_domain) == (None, None, None)
+    assert old.noise_factor is None
 
 
 def test_only_times_differ_between_runs(make_run: Callable[..., RunResult], tmp_path: Path) -> None:

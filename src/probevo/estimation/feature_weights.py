@@ -17,6 +17,8 @@ LEAST_TAIL = 0.001
 """Tail probability of a residual below which the track does not agree with the motion."""
 GAUSSIAN_FROM = 1e6
 """Degrees of freedom from which a Student-t is a Gaussian."""
+LEAST_DOF = 0.1
+"""Least degrees of freedom of a noise model; learned ones have 1 and more."""
 BISECTIONS = 50
 """Number of bisections of [0, 1] that reach 10⁻¹⁵."""
 
@@ -62,18 +64,10 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
         squared: eᵀ Σ⁻¹ e of each residual, [N], N > 0.
         dof: degrees of freedom ν of each feature's noise, [N].
     """
-    # Find the median of y = ν/(ν + s) under each ν by bisection.
-    nu = np.minimum(dof, GAUSSIAN_FROM)
-    low = np.zeros(len(nu))
-    high = np.ones(len(nu))
-    for _ in range(BISECTIONS):
-        share = 0.5 * (low + high)
-        is_rare = _tail_probability(share, nu) < 0.5
-        low = np.where(is_rare, share, low)
-        high = np.where(is_rare, high, share)
-    # y = ν/(ν + s) solved for s. The median tolerates up to half of the residuals as outliers.
-    median = nu * (1.0 - share) / share
-    return float(np.median(squared / median))
+    log_dof = np.log(np.minimum(dof, GAUSSIAN_FROM))
+    medians = np.exp(np.interp(log_dof, _LOG_DOF, _LOG_MEDIANS))
+    # The median tolerates up to half of the residuals as outliers.
+    return float(np.median(squared / medians))
 
 
 def tail_probability_of(squared: FloatArray, dof: FloatArray) -> FloatArray:
@@ -95,3 +89,21 @@ def _tail_probability(share: FloatArray, dof: FloatArray | float) -> FloatArray:
 
 _REFERENCE_WEIGHTS = np.linspace(0.0, 1.0, 4001)
 _REFERENCE_TAILS = _tail_probability(_REFERENCE_WEIGHTS, REFERENCE_DOF)
+
+
+def _median_squared(dof: FloatArray) -> FloatArray:
+    """Return the median of the squared length of a residual with ν degrees of freedom, [K]."""
+    # Find the median of y = ν/(ν + s) by bisection.
+    low = np.zeros(len(dof))
+    high = np.ones(len(dof))
+    for _ in range(BISECTIONS):
+        share = 0.5 * (low + high)
+        is_rare = _tail_probability(share, dof) < 0.5
+        low = np.where(is_rare, share, low)
+        high = np.where(is_rare, high, share)
+    median: FloatArray = dof * (1.0 - share) / share
+    return median
+
+
+_LOG_DOF = np.linspace(np.log(LEAST_DOF), np.log(GAUSSIAN_FROM), 1001)
+_LOG_MEDIANS = np.log(_median_squared(np.exp(_LOG_DOF)))

@@ -12,10 +12,16 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, invert_positive_definite
 from probevo.estimation import gauss_newton
+from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.jitter_numba import AXES, DOF
 from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
+
+LEAST_MOTION = 100.0
+"""Squared length of a motion, in units of its covariance, from which on it tells of the errors of
+the images; noise alone has 6. What looks like a motion at rest is noise, and so would be what it
+tells, for as long as a rig stands."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,12 @@ class ReprojectionSolution:
     jitter: SolvedJitter | None = None
     """The rig's jitter; ``cov`` is marginalised over it, ``hessian`` holds it. None if the noise
     has none."""
+
+    @property
+    def is_motion(self) -> bool:
+        """Whether the motion is much more than its noise (``LEAST_MOTION``)."""
+        xi = se3.log(self.T_curr_prev)
+        return bool(xi @ np.linalg.solve(self.cov, xi) > LEAST_MOTION)
 
     @property
     def full_jacobian(self) -> FloatArray:

@@ -24,13 +24,8 @@ from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.estimation.rig_update_numba import disparity_sensitivities, weigh_columns
-from probevo.geometry import se3
 from probevo.tracking.tracks import Tracks
 
-LEAST_MOTION = 100.0
-"""Squared length of a motion, in units of its covariance, from which on it tells of the errors of
-the images; noise alone has 6. What looks like a motion at rest is noise, and so would be what it
-tells, for as long as a rig stands."""
 _FIELD = slice(3, 3 + NUM_COEFFICIENTS)
 """Indices of the distortion field's coefficients among (b₀, b₁, b₂, field, a₆, ε)."""
 _IMAGE = slice(1, _FIELD.stop)
@@ -107,7 +102,7 @@ def update_rig(
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig
-    if _is_motion(solution):
+    if solution.is_motion:
         updated = rig.with_image_errors(
             information[_IMAGE, _IMAGE],
             gradient[_IMAGE],
@@ -131,12 +126,6 @@ def update_rig(
     distortion_gain = motion_gain[:, _FIELD]
     of_field = _square_root(distortion_gain @ np.linalg.cholesky(rig.image.distortion_cov))
     return updated, CommonMode(np.hstack([of_disparity, of_field]), distortion_gain)
-
-
-def _is_motion(solution: ReprojectionSolution) -> bool:
-    """Return whether a motion is much more than its noise (``LEAST_MOTION``)."""
-    xi = se3.log(solution.T_curr_prev)
-    return bool(xi @ np.linalg.solve(solution.cov, xi) > LEAST_MOTION)
 
 
 def _square_root(columns: FloatArray) -> FloatArray:

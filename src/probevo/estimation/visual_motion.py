@@ -75,6 +75,9 @@ class VisualMotion:
     solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
     """The disparity filter after the step; empty unless the step was accepted."""
+    noise_factor_shown: float | None = None
+    """Factor by which the variances of the noise model would fit the residuals; None if they do not
+    show it."""
     num_out_of_domain: int | None = None
     """Number of tracks used that are outside of the noise model's training data. None without a
     solve, or if the model has no such domain."""
@@ -132,8 +135,24 @@ class _Solve:
     noise: StereoNoise
     """Their noise."""
     estimate: Estimate
+    noise_factor: float
+    """Factor of the noise model's variances in ``noise``."""
     enlargement: float = 1.0
     """Factor by which the covariance of the motion was enlarged."""
+
+    def noise_factor_shown(self) -> float | None:
+        """Return the factor by which the variances of the noise model would fit the residuals.
+
+        None where they do not show it: Gaussian noise has no room for outliers, so that its scale
+        is no measure of theirs; and at rest a feature has the same error in both frames.
+        """
+        solution = self.estimate.solution
+        if not (np.isfinite(self.noise.dof).all() and solution.is_motion):
+            return None
+        if self.enlargement > 1.0:
+            return self.noise_factor * self.enlargement
+        dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
+        return self.noise_factor * scale_of_residuals(solution.squared, dof)
 
     def noise_of_current_frame(self) -> StereoNoise:
         """Return the noise under which a window learns from the current frame as much as this
@@ -170,6 +189,8 @@ class MotionPriors:
     """Measurements of the motion other than the tracks; they enter the solve."""
     curr: Variable = MOTION
     """The variable by which these refer to the pose of the current frame."""
+    noise_factor: float = 1.0
+    """By how much the variances of the noise model are multiplied (``NoiseScale``)."""
     jitter_cov: FloatArray | None = None
     """Covariance of the rig's jitter, estimated online, [3, 3], rad²; None for that of the noise
     model."""
@@ -270,6 +291,9 @@ class VisualEstimator:
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
             num_out_of_domain=None if outside is None else int(outside.sum()),
+            noise_factor_shown=(
+                solve.noise_factor_shown() if self._config.solver.noise_scale == "online" else None
+            ),
         )
 
     def _solve_with_fitting_noise(
@@ -286,20 +310,24 @@ class VisualEstimator:
         """
         # First with the predicted noise.
         used = consensus.inliers
-        noise = self._noise.predict(phi[used])
+        noise = self._predicted_noise(phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
         inliers = tracks.kept(used)
         estimate = self._solve(
             inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
         )
-        solve = _Solve(used, inliers, noise, estimate)
+        solve = _Solve(used, inliers, noise, estimate, priors.noise_factor)
         if not self._is_noisier_than_expected(estimate):
             return solve
         # Then with what all tracks show of the noise, at the motion found.
         solution = estimate.solution
         fitting = self._noise_that_fits(
-            tracks, phi, solution.T_curr_prev, jitter_cov=noise.jitter_cov
+            tracks,
+            phi,
+            solution.T_curr_prev,
+            jitter_cov=noise.jitter_cov,
+            noise_factor=priors.noise_factor,
         )
         most_agree = are_enough(fitting.agree, self._config)
         if num_trusted(estimate) >= self._config.solver.min_tracks:
@@ -328,7 +356,13 @@ class VisualEstimator:
             guess=solution.T_curr_prev,
             priors=priors,
         )
-        return _Solve(fitting.agree, agreeing, larger, again)
+        return _Solve(
+            fitting.agree,
+            agreeing,
+            larger,
+            again,
+            noise_factor=fitting.factor * priors.noise_factor,
+        )
 
     def _solve(
         self,
@@ -390,6 +424,7 @@ class VisualEstimator:
         T_curr_prev: FloatArray,
         *,
         jitter_cov: FloatArray | None,
+        noise_factor: float,
     ) -> _FittingNoise:
         """Scale the noise to the residuals of N tracks at a motion, and return which agree then.
 
@@ -397,7 +432,7 @@ class VisualEstimator:
         RANSAC rejected count, too. Those within its threshold are no random sample: selected around
         the motion of a few, they would understate the noise and confirm these few.
         """
-        noise = replace(self._noise.predict(phi), jitter_cov=jitter_cov)
+        noise = replace(self._predicted_noise(phi, noise_factor), jitter_cov=jitter_cov)
         observations = StereoObservations.of(
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
@@ -409,6 +444,19 @@ class VisualEstimator:
         if factor > LARGEST_SCALE:
             agree[:] = False
         return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
+
+    def _predicted_noise(self, phi: FloatArray, noise_factor: float) -> StereoNoise:
+        """Return the noise of tracks by the noise model, with its variances multiplied by a
+        factor.
+
+        Args:
+            phi: predictors of N tracks, [N, M].
+            noise_factor: the factor.
+        """
+        noise = self._noise.predict(phi)
+        if noise_factor == 1.0:
+            return noise
+        return noise.scaled(np.full(len(phi), noise_factor))
 
     def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
         """Return the standard deviation of the common offset of all u_r between two frames that the

@@ -78,6 +78,7 @@ def _scale(array: AnyArray) -> AccelerometerScale:
 _OPTIONAL = {
     "num_used": _Optional((_STEPS,), np.asarray),
     "num_out_of_domain": _Optional((_STEPS,), np.asarray),
+    "noise_factor": _Optional((_STEPS,), np.asarray),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "right_delay_s": _Optional((), float),

@@ -22,6 +22,9 @@ from probevo.sequences import GroundTruth, Sequence
 from probevo.sequences.masked import MaskedRecording
 from probevo.sequences.without_imu import WithoutImu
 
+NOTICEABLE_RATIO = 0.1
+"""Share by which σ has to differ from that of the noise model to be worth a number."""
+
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
     """Describe a run, by the names of its facts."""
@@ -30,6 +33,9 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         if result.out_of_domain is None
         else {"Out of its domain": domain_text(result.out_of_domain)}
     )
+    features = {}
+    if result.noise_factor is not None and len(result) > 1:
+        features["Noise of the features"] = feature_noise_text(result.noise_factor)
     rig = {}
     if result.jitter_sigma_rad is not None:
         offset_px = sequence.camera.fu_px * float(result.jitter_sigma_rad[1])
@@ -65,6 +71,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Truth": truth_text(sequence.truth, len(result)),
         **masks,
         "Noise model": config.noise,
+        **features,
         **rig,
         **imu,
         **domain,
@@ -154,6 +161,18 @@ def focal_text(error: FocalLengthError) -> str:
     return (
         f"where the camera turns, images show one that is {readable(abs(error.percent))} %"
         f" {longer} than calibrated (σ = {sigma} %): it is wrong, or lens distortion remains"
+    )
+
+
+def feature_noise_text(noise_factor: FloatArray) -> str:
+    """Describe the size of the features' errors against their noise model, by the factors of its
+    variances in the N-1 steps."""
+    ratio = np.sqrt(np.median(noise_factor))
+    if abs(ratio - 1.0) < NOTICEABLE_RATIO:
+        return "as the noise model says"
+    return (
+        f"{ratio:.2f} times as large as the noise model says (σ, median of the steps), which is"
+        " taken into account"
     )
 
 

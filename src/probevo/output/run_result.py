@@ -112,6 +112,9 @@ class RunResult:
     """Tracks used in the solve, [N-1]; None in files of versions that did not store it."""
     num_out_of_domain: IntArray | None = None
     """Tracks used that are outside of the noise model's domain, [N-1]; None if it has none."""
+    noise_factor: FloatArray | None = None
+    """Factor of the noise model's variances in each step, [N-1] (``NoiseScale``); None in files of
+    versions that did not store it."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
@@ -277,7 +280,7 @@ class RunRecorder:
     """
 
     def __init__(self) -> None:
-        self._numbers = Rows(np.float64, _COMMON_MODE.stop + 36 + 1)
+        self._numbers = Rows(np.float64, _COMMON_MODE.stop + 36 + 2)
         """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
         self._counts = Rows(np.int64, 6)
         """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
@@ -312,7 +315,7 @@ class RunRecorder:
                     motion.cov.ravel(),
                     motion.common_mode.ravel(),
                     motion.path_cross_cov.ravel(),
-                    [total],
+                    [motion.noise_factor, total],
                 ]
             )
         )
@@ -366,7 +369,7 @@ class RunRecorder:
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
             common_mode=numbers[:, _COMMON_MODE].reshape(-1, 6, COMMON_MODE_COLUMNS),
-            path_cross_cov=numbers[:, _COMMON_MODE.stop : -1].reshape(-1, 6, 6),
+            path_cross_cov=numbers[:, _COMMON_MODE.stop : -2].reshape(-1, 6, 6),
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
@@ -377,6 +380,7 @@ class RunRecorder:
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
             sensors=dict(self._sensors),
+            noise_factor=numbers[:, -2].copy(),
             num_used=num_used,
             num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
         )

@@ -56,8 +56,15 @@ class Extraction:
         self.space = space
         self.num_frames = num_frames
         self.on_frame = on_frame
+        # Under noise that fits the recording, the robust loss drops the worst tracks before
+        # anything can be learned from them.
+        solver = config.solver.model_copy(update={"noise_scale": "model"})
         self._odometry = StereoOdometry(
-            sequence.camera, StudentT(), sequence.imu, config=config, predictors=space
+            sequence.camera,
+            StudentT(),
+            sequence.imu,
+            config=config.model_copy(update={"solver": solver}),
+            predictors=space,
         )
         self._digest = hashlib.sha256(json.dumps(calibration(sequence)).encode())
         self._matches = np.zeros(2, np.int64)

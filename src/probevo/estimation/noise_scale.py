@@ -1,0 +1,49 @@
+"""How large the errors of this recording's features are against their noise model, learned on line.
+
+A noise model describes the cameras and scenes that it was learned from, and the default one none in
+particular. If all its variances are too large by one factor, so is the covariance of the motion;
+and outliers keep too much weight, since they are compared with errors that do not occur.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+PRIOR_STEPS = 5.0
+"""Steps that the noise model itself counts for."""
+MEMORY_STEPS = 100.0
+"""Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
+LARGEST_FACTOR = 10.0
+"""By how much the variances of a model may be too small or too large."""
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """Running mean of the logarithm of the factor that the residuals of each step show.
+
+    It is the logarithm that is averaged, so that a single noisy frame does not count for many.
+    """
+
+    log_mean: float = 0.0
+    weight: float = PRIOR_STEPS
+    """Steps that the mean is over."""
+
+    @property
+    def factor(self) -> float:
+        """Factor of the variances of the noise model."""
+        return math.exp(self.log_mean)
+
+    def after(self, factor_shown: float | None) -> NoiseScale:
+        """Return the scale after a step.
+
+        Args:
+            factor_shown: factor of the model's variances that the residuals of the step show; None
+                if they show nothing.
+        """
+        if factor_shown is None:
+            return self
+        log_shown = math.log(min(max(factor_shown, 1.0 / LARGEST_FACTOR), LARGEST_FACTOR))
+        kept = self.weight * math.exp(-1.0 / MEMORY_STEPS)
+        weight = kept + 1.0
+        return NoiseScale((kept * self.log_mean + log_shown) / weight, weight)
