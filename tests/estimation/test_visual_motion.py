@@ -24,7 +24,8 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
+from probevo.noise import Fixed, NearestNeighbors, NoiseModel, StereoNoise, StudentT
+from probevo.noise.base import has_assumed_scale
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, seen_twice, tracks_of
@@ -216,6 +217,17 @@ def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
     tracks = seen_twice(np.random.default_rng(0), 400, sigma_px=sigma_px, depth_m=NEAR_M)
     visual = estimate(tracks, noise=StudentT(100.0, 0.2**2 * np.eye(4)))
     assert visual.noise_factor_shown == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
+
+
+def test_a_scale_that_was_learned_is_kept() -> None:
+    tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
+    learned = StudentT(4.0, 0.03 * np.eye(4), training={"recordings": ["a"]})
+    fitted = StudentT(4.0).fit(np.zeros((50, 0)), np.random.default_rng(0).normal(size=(50, 4)))
+    for noise in (learned, fitted, NearestNeighbors(base=learned)):
+        assert not has_assumed_scale(noise)
+    for noise in (StudentT(), NearestNeighbors()):
+        assert has_assumed_scale(noise)
+    assert estimate(tracks, noise=learned).noise_factor_shown is None
 
 
 def test_neither_rest_nor_gaussian_noise_shows_a_factor() -> None:

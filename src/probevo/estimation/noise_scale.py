@@ -1,8 +1,9 @@
 """How large the errors of this recording's features are against their noise model, learned on line.
 
-A noise model describes the cameras and scenes that it was learned from, and the default one none in
-particular. If all its variances are too large by one factor, so is the covariance of the motion;
-and outliers keep too much weight, since they are compared with errors that do not occur.
+A model that was not fitted to recordings describes no camera and scene in particular. If all its
+variances are too large by one factor, so is the covariance of the motion; and outliers keep too
+much weight, since they are compared with errors that do not occur. A model that was fitted keeps
+its scale.
 """
 
 from __future__ import annotations

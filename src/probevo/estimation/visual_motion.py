@@ -32,7 +32,7 @@ from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -218,6 +218,7 @@ class VisualEstimator:
         self._noise = noise
         self._config = config
         self._predicts_from_motion = predicts_from_motion
+        self._scales_noise = config.solver.noise_scale == "online" and has_assumed_scale(noise)
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
         self._estimator: Estimator = TwoFrameEstimator(
@@ -291,9 +292,7 @@ class VisualEstimator:
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
             num_out_of_domain=None if outside is None else int(outside.sum()),
-            noise_factor_shown=(
-                solve.noise_factor_shown() if self._config.solver.noise_scale == "online" else None
-            ),
+            noise_factor_shown=solve.noise_factor_shown() if self._scales_noise else None,
         )
 
     def _solve_with_fitting_noise(

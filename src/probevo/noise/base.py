@@ -138,6 +138,15 @@ class NoiseModel(Protocol):
         """
 
 
+def has_assumed_scale(model: NoiseModel) -> bool:
+    """Return whether the size of a model's covariances is assumed, and not learned: the property
+    ``scale_is_assumed``, which a model may have.
+
+    The odometry scales such noise to the recording (``estimation.noise_scale``).
+    """
+    return bool(getattr(model, "scale_is_assumed", False))
+
+
 class LearnedNoiseModel(NoiseModel, Protocol):
     """A noise model that was learned from recordings, and can be stored in a file."""
 

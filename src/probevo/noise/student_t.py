@@ -79,6 +79,11 @@ class StudentT:
         self.dof_ = dof
         self.scale_ = scale
 
+    @property
+    def scale_is_assumed(self) -> bool:
+        """Whether the scale is given, and not fitted (``has_assumed_scale``)."""
+        return not self.training and self.scale_ is self.scale
+
     def fit(
         self, predictors: FloatArray, residuals: FloatArray, *, error_cov: FloatArray | None = None
     ) -> Self:

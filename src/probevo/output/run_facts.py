@@ -34,7 +34,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         else {"Out of its domain": domain_text(result.out_of_domain)}
     )
     features = {}
-    if result.noise_factor is not None and len(result) > 1:
+    if result.noise_factor is not None and (result.noise_factor != 1.0).any():
         features["Noise of the features"] = feature_noise_text(result.noise_factor)
     rig = {}
     if result.jitter_sigma_rad is not None:

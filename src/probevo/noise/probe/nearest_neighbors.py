@@ -20,7 +20,7 @@ from pydantic import Field, field_validator
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale
 from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric, have_shapes
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
@@ -73,6 +73,11 @@ class NearestNeighbors:
     def columns(self) -> tuple[str, ...]:
         """Names of the predictors, in their order."""
         return self.metric_.columns
+
+    @property
+    def scale_is_assumed(self) -> bool:
+        """Whether the scale of the static model is assumed; β tells features from each other."""
+        return has_assumed_scale(self.base)
 
     def fit(
         self,
