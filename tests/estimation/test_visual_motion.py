@@ -230,6 +230,24 @@ def test_a_scale_that_was_learned_is_kept() -> None:
     assert estimate(tracks, noise=learned).noise_factor_shown is None
 
 
+def test_in_a_window_assumed_errors_of_aligned_windows_do_not_last() -> None:
+    """They do with two frames, in tracks of another front end, and where that was learned."""
+    tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
+    aligned = replace(tracks, difference=np.full((200, 2), 2.0))
+    learned = StudentT(4.0, 0.03 * np.eye(4), time_correlation_ratio=0.7, training={"a": 1})
+    two_frames = OdometryConfig(estimator="two-frame")
+
+    def lasts(tracks: Tracks, noise: NoiseModel, config: OdometryConfig) -> bool:
+        visual = estimate(tracks, noise=noise, config=config)
+        assert visual.noise is not None
+        return visual.noise.time_correlated is not None
+
+    assert not lasts(aligned, StudentT(), CONFIG)
+    assert lasts(tracks, StudentT(), CONFIG)
+    assert lasts(aligned, learned, CONFIG)
+    assert lasts(aligned, StudentT(), two_frames)
+
+
 def test_neither_rest_nor_gaussian_noise_shows_a_factor() -> None:
     moving = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     resting = seen_twice(np.random.default_rng(0), 200, np.eye(4), sigma_px=0.2)

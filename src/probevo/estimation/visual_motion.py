@@ -218,7 +218,12 @@ class VisualEstimator:
         self._noise = noise
         self._config = config
         self._predicts_from_motion = predicts_from_motion
-        self._scales_noise = config.solver.noise_scale == "online" and has_assumed_scale(noise)
+        is_assumed = has_assumed_scale(noise)
+        self._scales_noise = is_assumed and config.solver.noise_scale == "online"
+        # A window knows how the errors of a feature in successive frames are correlated. Beyond
+        # that, those of windows that are aligned with one patch do not last; those of tracks of
+        # another front end do, and so it is with two frames.
+        self._knows_correlation = is_assumed and config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
         self._estimator: Estimator = TwoFrameEstimator(
@@ -309,7 +314,7 @@ class VisualEstimator:
         """
         # First with the predicted noise.
         used = consensus.inliers
-        noise = self._predicted_noise(phi[used], priors.noise_factor)
+        noise = self._predicted_noise(tracks.kept(used), phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
         inliers = tracks.kept(used)
@@ -431,7 +436,7 @@ class VisualEstimator:
         RANSAC rejected count, too. Those within its threshold are no random sample: selected around
         the motion of a few, they would understate the noise and confirm these few.
         """
-        noise = replace(self._predicted_noise(phi, noise_factor), jitter_cov=jitter_cov)
+        noise = replace(self._predicted_noise(tracks, phi, noise_factor), jitter_cov=jitter_cov)
         observations = StereoObservations.of(
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
@@ -444,15 +449,18 @@ class VisualEstimator:
             agree[:] = False
         return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
-    def _predicted_noise(self, phi: FloatArray, noise_factor: float) -> StereoNoise:
+    def _predicted_noise(self, tracks: Tracks, phi: FloatArray, noise_factor: float) -> StereoNoise:
         """Return the noise of tracks by the noise model, with its variances multiplied by a
         factor.
 
         Args:
-            phi: predictors of N tracks, [N, M].
+            tracks: N tracks.
+            phi: their predictors, [N, M].
             noise_factor: the factor.
         """
         noise = self._noise.predict(phi)
+        if self._knows_correlation and tracks.difference is not None:
+            noise = replace(noise, time_correlated=None)
         if noise_factor == 1.0:
             return noise
         return noise.scaled(np.full(len(phi), noise_factor))
