@@ -39,6 +39,12 @@ NEAR_M = (3.0, 10.0)
 """Here the noise of triangulated points is nearly Gaussian, as alignment assumes."""
 
 
+class Scaled(StudentT):
+    """A given scale that the odometry is to scale."""
+
+    scale_is_assumed = True  # type: ignore[assignment]
+
+
 def priors_of(
     prediction: MotionPrediction = UNKNOWN,
     gyro: RelativeRotation | None = None,
@@ -181,13 +187,13 @@ def test_features_out_of_domain_are_counted_among_those_used() -> None:
 @pytest.mark.parametrize("factor", [0.2, 1.0, 5.0])
 def test_a_noise_factor_is_a_larger_scale_of_the_model(factor: float) -> None:
     """A motion under a model's variances times the factor is that of a model with these variances,
-    to the bit; and residuals show the same either way."""
+    and residuals show the same either way."""
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.3)
     scale = 0.03 * np.eye(4)
 
     def solved(model_factor: float, noise_factor: float) -> VisualMotion:
         estimator = VisualEstimator(
-            CAMERA, StudentT(4.0, model_factor * scale), CONFIG, predicts_from_motion=False
+            CAMERA, Scaled(4.0, model_factor * scale), CONFIG, predicts_from_motion=False
         )
         return estimator.estimate(
             tracks,
@@ -215,26 +221,28 @@ def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
     """Gaussian errors, under a noise that is nearly Gaussian: whether the noise is that of the
     model, or less, or so much more that the covariance is enlarged or the solve repeated."""
     tracks = seen_twice(np.random.default_rng(0), 400, sigma_px=sigma_px, depth_m=NEAR_M)
-    visual = estimate(tracks, noise=StudentT(100.0, 0.2**2 * np.eye(4)))
+    visual = estimate(tracks, noise=Scaled(100.0, 0.2**2 * np.eye(4)))
     assert visual.noise_factor_shown == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
 
 
 def test_a_scale_that_was_learned_is_kept() -> None:
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
-    learned = StudentT(4.0, 0.03 * np.eye(4), training={"recordings": ["a"]})
+    given = StudentT(4.0, 0.03 * np.eye(4))
     fitted = StudentT(4.0).fit(np.zeros((50, 0)), np.random.default_rng(0).normal(size=(50, 4)))
-    for noise in (learned, fitted, NearestNeighbors(base=learned)):
+    read = StudentT.from_file(fitted.to_file())
+    for noise in (given, fitted, read, NearestNeighbors(base=given), Fixed()):
         assert not has_assumed_scale(noise)
-    for noise in (StudentT(), NearestNeighbors()):
+    for noise in (StudentT(), StudentT(4.0), StudentT.from_file(StudentT().to_file())):
         assert has_assumed_scale(noise)
-    assert estimate(tracks, noise=learned).noise_factor_shown is None
+        assert has_assumed_scale(NearestNeighbors(base=noise))
+    assert estimate(tracks, noise=given).noise_factor_shown is None
 
 
-def test_in_a_window_assumed_errors_of_aligned_windows_do_not_last() -> None:
-    """They do with two frames, in tracks of another front end, and where that was learned."""
+def test_in_a_window_the_default_errors_of_aligned_windows_do_not_last() -> None:
+    """They do with two frames, in tracks of another front end, and where that was given."""
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     aligned = replace(tracks, difference=np.full((200, 2), 2.0))
-    learned = StudentT(4.0, 0.03 * np.eye(4), time_correlation_ratio=0.7, training={"a": 1})
+    given = StudentT(4.0, 0.03 * np.eye(4), time_correlation_ratio=0.7)
     two_frames = OdometryConfig(estimator="two-frame")
 
     def lasts(tracks: Tracks, noise: NoiseModel, config: OdometryConfig) -> bool:
@@ -244,7 +252,7 @@ def test_in_a_window_assumed_errors_of_aligned_windows_do_not_last() -> None:
 
     assert not lasts(aligned, StudentT(), CONFIG)
     assert lasts(tracks, StudentT(), CONFIG)
-    assert lasts(aligned, learned, CONFIG)
+    assert lasts(aligned, given, CONFIG)
     assert lasts(aligned, StudentT(), two_frames)
 
 

@@ -18,7 +18,7 @@ LEAST_TAIL = 0.001
 GAUSSIAN_FROM = 1e6
 """Degrees of freedom from which a Student-t is a Gaussian."""
 LEAST_DOF = 0.1
-"""Least degrees of freedom of a noise model; learned ones have 1 and more."""
+"""Where the table of medians begins; learned models have 1 and more."""
 BISECTIONS = 50
 """Number of bisections of [0, 1] that reach 10⁻¹⁵."""
 

@@ -1,9 +1,9 @@
 """How large the errors of this recording's features are against their noise model, learned on line.
 
-A model that was not fitted to recordings describes no camera and scene in particular. If all its
+A model with a default scale describes no camera and scene in particular. If all its
 variances are too large by one factor, so is the covariance of the motion; and outliers keep too
-much weight, since they are compared with errors that do not occur. A model that was fitted keeps
-its scale.
+much weight, since they are compared with errors that do not occur. A model with a scale that was
+given or fitted keeps it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PRIOR_STEPS = 1.0
 recordings, and by 0.1 to 0.5 between the steps of one: a step tells more than the model."""
 MEMORY_STEPS = 100.0
 """Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
-LARGEST_FACTOR = 10.0
+LARGEST_FACTOR = 30.0
 """By how much the variances of a model may be too small or too large."""
 
 

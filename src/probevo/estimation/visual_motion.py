@@ -38,8 +38,8 @@ from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
 LARGEST_SCALE = 30.0
-"""Largest factor by which the variances may exceed the prediction: 5 times σ, or 1 px with
-``student-t``. With more, the features do not agree on a motion."""
+"""Largest factor by which the variances may exceed those of the noise model: 5 times σ, or 1 px
+with ``student-t``. With more, the features do not agree on a motion."""
 FEWEST_TRUSTED = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
@@ -71,13 +71,13 @@ class VisualMotion:
     """The motion for the residuals that predict noise in the next step, [4, 4]; None without a
     solve."""
     noise: StereoNoise | None = None
-    """Predicted noise of the tracks used, enlarged where most residuals exceed it; None without a
-    solve."""
+    """Predicted noise of the tracks used, times the running factor, and enlarged where most
+    residuals exceed it; None without a solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
     """The disparity filter after the step; empty unless the step was accepted."""
     noise_factor_shown: float | None = None
     """Factor by which the variances of the noise model would fit the residuals; None if they do not
-    show it."""
+    show it, or if the model keeps its scale."""
     num_out_of_domain: int | None = None
     """Number of tracks used that are outside of the noise model's training data. None without a
     solve, or if the model has no such domain."""
@@ -140,17 +140,17 @@ class _Solve:
     enlargement: float = 1.0
     """Factor by which the covariance of the motion was enlarged."""
 
-    def noise_factor_shown(self) -> float | None:
+    def shown_by(self, solution: ReprojectionSolution) -> float | None:
         """Return the factor by which the variances of the noise model would fit the residuals.
 
         None where they do not show it: Gaussian noise has no room for outliers, so that its scale
         is no measure of theirs; and at rest a feature has the same error in both frames.
+
+        Args:
+            solution: these tracks, under their noise and without any earlier frame.
         """
-        solution = self.estimate.solution
         if not (np.isfinite(self.noise.dof).all() and solution.is_motion):
             return None
-        if self.enlargement > 1.0:
-            return self.noise_factor * self.enlargement
         dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
         return self.noise_factor * scale_of_residuals(solution.squared, dof)
 
@@ -220,10 +220,9 @@ class VisualEstimator:
         self._predicts_from_motion = predicts_from_motion
         is_assumed = has_assumed_scale(noise)
         self._scales_noise = is_assumed and config.solver.noise_scale == "online"
-        # A window knows how the errors of a feature in successive frames are correlated. Beyond
-        # that, those of windows that are aligned with one patch do not last; those of tracks of
-        # another front end do, and so it is with two frames.
-        self._knows_correlation = is_assumed and config.estimator == "window"
+        # A window describes by itself how long the errors of aligned windows last, by a correlation
+        # of successive errors. More than that has to be learned.
+        self._drops_lasting_errors = is_assumed and config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
         self._estimator: Estimator = TwoFrameEstimator(
@@ -282,6 +281,9 @@ class VisualEstimator:
             T_reference = self._confirmed(
                 solve.estimate, solve.tracks, consensus.T_curr_prev, priors
             )
+        noise_factor_shown = None
+        if self._scales_noise and status is Status.OK:
+            noise_factor_shown = solve.shown_by(two_frames_only)
         weights = np.zeros(len(tracks))
         weights[solve.used] = solve.estimate.weights
         outside = solve.noise.out_of_domain
@@ -297,7 +299,7 @@ class VisualEstimator:
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
             num_out_of_domain=None if outside is None else int(outside.sum()),
-            noise_factor_shown=solve.noise_factor_shown() if self._scales_noise else None,
+            noise_factor_shown=noise_factor_shown,
         )
 
     def _solve_with_fitting_noise(
@@ -314,10 +316,10 @@ class VisualEstimator:
         """
         # First with the predicted noise.
         used = consensus.inliers
-        noise = self._predicted_noise(tracks.kept(used), phi[used], priors.noise_factor)
+        inliers = tracks.kept(used)
+        noise = self._predicted_noise(inliers, phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
-        inliers = tracks.kept(used)
         estimate = self._solve(
             inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
         )
@@ -432,7 +434,8 @@ class VisualEstimator:
     ) -> _FittingNoise:
         """Scale the noise to the residuals of N tracks at a motion, and return which agree then.
 
-        None agree if the variances would have to grow by more than ``LARGEST_SCALE``. Tracks that
+        None agree if the variances of the noise model would have to grow by more than
+        ``LARGEST_SCALE``. Tracks that
         RANSAC rejected count, too. Those within its threshold are no random sample: selected around
         the motion of a few, they would understate the noise and confirm these few.
         """
@@ -445,7 +448,7 @@ class VisualEstimator:
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _scale_shown(squared, noise)
         agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
-        if factor > LARGEST_SCALE:
+        if noise_factor * factor > LARGEST_SCALE:
             agree[:] = False
         return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
@@ -459,7 +462,7 @@ class VisualEstimator:
             noise_factor: the factor.
         """
         noise = self._noise.predict(phi)
-        if self._knows_correlation and tracks.difference is not None:
+        if self._drops_lasting_errors and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
         if noise_factor == 1.0:
             return noise
@@ -488,6 +491,7 @@ class VisualEstimator:
         """
         solution = estimate.solution
         equal = StudentT().predict(np.zeros((len(tracks), 0)))
+        equal = equal.scaled(np.full(len(tracks), priors.noise_factor))
         plain = self._estimator.solve(
             tracks,
             replace(equal, jitter_cov=priors.jitter_cov),

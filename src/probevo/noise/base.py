@@ -121,7 +121,10 @@ def disparity_variance(scale: FloatArray) -> FloatArray:
 
 
 class NoiseModel(Protocol):
-    """A noise model maps predictors to the noise of each feature; ``predict`` is pure."""
+    """A noise model maps predictors to the noise of each feature; ``predict`` is pure.
+
+    With a property ``scale_is_assumed`` that is true, the odometry learns its scale on line.
+    """
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -139,8 +142,8 @@ class NoiseModel(Protocol):
 
 
 def has_assumed_scale(model: NoiseModel) -> bool:
-    """Return whether the size of a model's covariances is assumed, and not learned: the property
-    ``scale_is_assumed``, which a model may have.
+    """Return whether the size of a model's covariances is assumed, and neither given nor learned:
+    the property ``scale_is_assumed``, which a model may have.
 
     The odometry scales such noise to the recording (``estimation.noise_scale``).
     """

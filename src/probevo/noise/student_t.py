@@ -24,6 +24,7 @@ DOF = 2.5
 SIGMA_PX = 0.17
 """Default of an untrained model, close to the tails of real tracks. Fits to these have ν of 1.9 to
 2.1, but for ν ≤ 2 there would be no variance."""
+DEFAULT_SCALE = SIGMA_PX**2 * np.eye(4)
 TIME_CORRELATION_RATIO = 0.7
 """Default of an untrained model: the most likely ratio on both of KITTI's recordings with images
 that were tried, 0.2 px. Sparse tracks have more."""
@@ -67,7 +68,7 @@ class StudentT:
             is_default = scale is None and refers_to == "observation"
             time_correlation_ratio = TIME_CORRELATION_RATIO if is_default else 0.0
         if scale is None:
-            scale = SIGMA_PX**2 * np.eye(4)
+            scale = DEFAULT_SCALE.copy()
         self.dof = dof
         self.scale = scale
         self.refers_to = refers_to
@@ -81,8 +82,8 @@ class StudentT:
 
     @property
     def scale_is_assumed(self) -> bool:
-        """Whether the scale is given, and not fitted (``has_assumed_scale``)."""
-        return not self.training and self.scale_ is self.scale
+        """Whether it is the default scale, neither given nor fitted (``has_assumed_scale``)."""
+        return np.array_equal(self.scale_, DEFAULT_SCALE)
 
     def fit(
         self, predictors: FloatArray, residuals: FloatArray, *, error_cov: FloatArray | None = None

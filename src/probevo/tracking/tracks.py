@@ -40,6 +40,12 @@ class Tracks:
     window matches the anchor patch, [N, 2, 2, 2], px²; None if another front end has tracked
     the points."""
 
+    @property
+    def are_aligned(self) -> bool:
+        """Whether each place is that of a window aligned with the patch of the point's first frame;
+        tracks of another front end are not."""
+        return self.difference is not None
+
     def __len__(self) -> int:
         """Return the number of points, N."""
         return len(self.ids)
