@@ -89,10 +89,11 @@ def steps(sequence: Sequence, model: pv.noise.StudentT | pv.noise.Fixed) -> Iter
         motion = odometry.step(frame)
         if motion.status is pv.Status.OK and before is not None:
             used = odometry.used
+            noise = odometry.noise.predict(odometry.phi[used])
             yield Step(
                 tracks=odometry.tracks.kept(used),
                 noise=replace(
-                    odometry.noise.predict(odometry.phi[used]),
+                    noise.scaled(np.full(len(noise.dof), before.noise_scale.factor)),
                     jitter_cov=None if before.rig is None else before.rig.jitter.cov,
                 ),
                 camera=odometry.camera,

@@ -22,6 +22,8 @@ PREV, CURR, COMMON, FIRST_POINT = range(4)  # keys of the variables
 def factors_of(odometry: pv.StereoOdometry, before: Any) -> TrackFactors:
     """Return the factors of the last step; ``before`` is ``odometry.state`` before it."""
     noise = odometry.noise.predict(odometry.phi[odometry.used])
+    # What the residuals of earlier steps have shown of its size
+    noise = noise.scaled(np.full(len(noise.dof), before.noise_scale.factor))
     if before.rig is not None:
         noise = replace(noise, jitter_cov=before.rig.jitter.cov)
     tracks = odometry.tracks.kept(odometry.used)

@@ -178,7 +178,7 @@ def test_gtsam_agrees_on_a_recording(data_root: Path) -> None:
     pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
     example = load("05_noise_for_gtsam.py")
     sequence = pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06")
-    odometry = pv.StereoOdometry(sequence.camera)
+    odometry = pv.StereoOdometry(sequence.camera, config={"estimator": "two-frame"})
     for frame in itertools.islice(sequence, 11):
         before = odometry.state
         motion = odometry.step(frame)
@@ -218,7 +218,11 @@ def test_noise_of_residuals_for_gtsam(dof: float) -> None:
     pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
     config = PointConfig(outliers=PointOutliers(fraction=0.0), noise=PointNoise(sigma_high_px=0.3))
     world = simulate_points(config, 0.5, np.random.default_rng(0))
-    odometry = pv.StereoOdometry(world.camera, NoiseOfResiduals(dof))
+    odometry = pv.StereoOdometry(
+        world.camera,
+        NoiseOfResiduals(dof),
+        config={"estimator": "two-frame", "self_calibration": False},
+    )
     example = load("05_noise_for_gtsam.py")
     for frame in world.frames():
         before = odometry.state

@@ -118,6 +118,31 @@ def test_the_running_scale_of_the_noise_learns_nothing_at_rest() -> None:
     assert [motion.noise_factor for motion in run(frames)] == [1.0] * 40
 
 
+def test_only_solved_single_steps_show_the_size_of_the_noise() -> None:
+    """Neither those of blind frames, nor the one that leads back over them."""
+    frames = drive(np.random.default_rng(4), 20)
+    frames[10:13] = [with_features(frame, 5) for frame in frames[10:13]]
+    motions = run(frames)
+    assert motions[13].status is pv.Status.RECOVERED
+    # Each has the factor from the steps before it.
+    factors = [motion.noise_factor for motion in motions]
+    assert factors[9] != factors[10]
+    assert len(set(factors[10:15])) == 1
+    assert factors[15] != factors[14]
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_vehicle_that_stops_learns_no_smaller_noise(estimator: str) -> None:
+    frames = drive(
+        np.random.default_rng(5), 60, np.array([FORWARD] * 30 + [np.eye(4)] * 30), sigma_px=0.2
+    )
+    factors = [
+        motion.noise_factor
+        for motion in run(frames, PLAIN.model_copy(update={"estimator": estimator}))
+    ]
+    assert factors[-1] == pytest.approx(factors[30], rel=0.05)
+
+
 def test_the_noise_of_the_model_is_taken_as_it_is_on_request() -> None:
     config = PLAIN.model_copy(update={"solver": SolverConfig(noise_scale="model")})
     motions = run(drive(np.random.default_rng(2), 20, sigma_px=0.06), config)

@@ -1,9 +1,15 @@
 """What the facts of a run say of the rig."""
 
+import numpy as np
 import pytest
 
 from probevo.camera.focal_length import FocalLengthError
-from probevo.output.run_facts import delay_text, focal_text, imu_noise_text
+from probevo.output.run_facts import (
+    delay_text,
+    feature_noise_text,
+    focal_text,
+    imu_noise_text,
+)
 
 
 @pytest.mark.parametrize(
@@ -24,3 +30,10 @@ def test_the_focal_length_is_said_with_its_sigma() -> None:
 def test_noise_of_the_imu_is_told_as_a_factor_of_sigma() -> None:
     assert imu_noise_text(1.2) == "as calibrated, as far as the images show it"
     assert imu_noise_text(6.25).startswith("2.5 times as large as calibrated")
+
+
+def test_noise_of_the_features_in_words() -> None:
+    """By σ, of the median step: the factors are those of variances."""
+    assert feature_noise_text(np.array([1.0, 0.9, 1.2])) == "as the noise model says"
+    text = feature_noise_text(np.array([1.0, 0.25, 0.25]))
+    assert text.startswith("0.50 times as large as the noise model says")

@@ -76,6 +76,17 @@ def test_the_share_out_of_domain_is_that_of_all_features_used(
     assert run.out_of_domain == pytest.approx(share)
 
 
+def test_the_running_factors_of_the_noise_are_kept() -> None:
+    recorder = RunRecorder()
+    for k, factor in enumerate([1.0, 1.0, 0.5, 0.25]):
+        motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=9, noise_factor=factor)
+        recorder.add(k, motion, total_ms=7.0)
+    result = recorder.result()
+    assert result.noise_factor is not None
+    assert result.noise_factor.tolist() == [1.0, 0.5, 0.25]
+    assert result.total_ms.tolist() == [7.0] * 3
+
+
 def test_totals_and_stages_that_come_and_go() -> None:
     recorder = RunRecorder()
     for k, stages in enumerate([{}, {"track": 5.0}, {"track": 4.0, "solve": 1.0}]):
