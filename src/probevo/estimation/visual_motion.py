@@ -222,7 +222,7 @@ class VisualEstimator:
         self._scales_noise = is_assumed and config.solver.noise_scale == "online"
         # A window describes by itself how long the errors of aligned windows last, by a correlation
         # of successive errors. More than that has to be learned.
-        self._drops_lasting_errors = is_assumed and config.estimator == "window"
+        self._drops_time_correlation = is_assumed and config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
         self._estimator: Estimator = TwoFrameEstimator(
@@ -462,7 +462,7 @@ class VisualEstimator:
             noise_factor: the factor.
         """
         noise = self._noise.predict(phi)
-        if self._drops_lasting_errors and tracks.are_aligned:
+        if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
         if noise_factor == 1.0:
             return noise
