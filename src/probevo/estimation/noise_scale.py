@@ -16,8 +16,10 @@ PRIOR_STEPS = 1.0
 recordings, and by 0.1 to 0.5 between the steps of one: a step tells more than the model."""
 MEMORY_STEPS = 100.0
 """Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
-LARGEST_FACTOR = 30.0
-"""By how much the variances of a model may be too small or too large."""
+LARGEST_FACTOR = 10.0
+"""By how much the variances of a model may be too small or too large. Errors below a third of the
+default σ, 0.05 px, are those of interpolation: they are alike in successive frames, so that less
+would claim too much along a path."""
 
 
 @dataclass(frozen=True)
