@@ -35,9 +35,10 @@ def test_what_was_long_ago_is_forgotten() -> None:
     assert log_share == pytest.approx(1.0 - math.exp(-1.0), abs=0.01)
 
 
-def test_a_step_that_shows_nothing_changes_nothing() -> None:
+@pytest.mark.parametrize("nothing", [None, math.nan])
+def test_a_step_that_shows_nothing_changes_nothing(nothing: float | None) -> None:
     scale = after([0.25, 0.5])
-    assert scale.after(None) == scale
+    assert scale.after(nothing) == scale
 
 
 @pytest.mark.parametrize("shown", [0.0, 1e-300, 1e300, math.inf])

@@ -435,9 +435,9 @@ class VisualEstimator:
         """Scale the noise to the residuals of N tracks at a motion, and return which agree then.
 
         None agree if the variances of the noise model would have to grow by more than
-        ``LARGEST_SCALE``. Tracks that
-        RANSAC rejected count, too. Those within its threshold are no random sample: selected around
-        the motion of a few, they would understate the noise and confirm these few.
+        ``LARGEST_SCALE``. Tracks that RANSAC rejected count, too. Those within its threshold are no
+        random sample: selected around the motion of a few, they would understate the noise and
+        confirm these few.
         """
         noise = replace(self._predicted_noise(tracks, phi, noise_factor), jitter_cov=jitter_cov)
         observations = StereoObservations.of(
