@@ -124,6 +124,7 @@ def test_the_same_run_gives_the_same_bytes(
         ({"cov": np.full((4, 6, 6), np.nan)}, "cov holds something that is no finite number"),
         ({"status": np.array(["a"] * 4)}, "status holds something"),
         ({"num_out_of_domain": np.zeros(3)}, r"num_out_of_domain has shape \(3,\)"),
+        ({"noise_factor": np.array([1.0, 0.5, 0.0, 0.5])}, "noise_factor holds a factor"),
         ({"rejected_flow": np.zeros(2)}, "rejected_flow has shape"),
         ({"T_world_cam": np.zeros((4, 4, 4))}, r"T_world_cam has shape \(4, 4, 4\)"),
         ({"sensors": np.zeros(2)}, "sensors is no text"),

@@ -75,10 +75,17 @@ def _scale(array: AnyArray) -> AccelerometerScale:
     return AccelerometerScale(ratio, sigma, int(count))
 
 
+def _factors(array: AnyArray) -> FloatArray:
+    """Return factors of variances; a ValueError if one is not positive."""
+    if (array <= 0.0).any():
+        raise ValueError("holds a factor that is not positive")
+    return array
+
+
 _OPTIONAL = {
     "num_used": _Optional((_STEPS,), np.asarray),
     "num_out_of_domain": _Optional((_STEPS,), np.asarray),
-    "noise_factor": _Optional((_STEPS,), np.asarray),
+    "noise_factor": _Optional((_STEPS,), _factors),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "right_delay_s": _Optional((), float),
@@ -219,7 +226,7 @@ def _read_optional(
     """Read a field of ``_OPTIONAL`` from its array.
 
     Raises:
-        InputError: the array has another shape or type.
+        InputError: the array has another shape or type, or impossible values.
     """
     optional = _OPTIONAL[name]
     if optional.shape is None:
@@ -234,6 +241,8 @@ def _read_optional(
         return optional.read(array)
     except ValidationError as error:
         raise InputError(path, f"{name} does not say how sensors were used", _CURE) from error
+    except ValueError as error:
+        raise InputError(path, f"{name} {error}", _CURE) from error
 
 
 def _take(
