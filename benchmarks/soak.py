@@ -72,7 +72,7 @@ STOP_SHARE = 0.00025
 STALL_S = 0.2
 LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
-RELEASE_EVERY = 1_000
+RELEASE_EVERY = 100
 """Frames after which a process of hours gives freed memory back, as docs/performance.md says."""
 MOST_STEPS = 1_000_000
 EVERY = 100
@@ -261,8 +261,6 @@ class Watch:
         """Take one step; NaN for a time that is not that of a usual step."""
         self.times_ms[self.num_steps] = clock_ms, processor_ms
         self.num_steps += 1
-        if self.num_steps % RELEASE_EVERY == 0:
-            release_freed_memory()
         if self.num_steps % EVERY == 0:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
@@ -275,6 +273,8 @@ class Watch:
                 threads,
                 handles,
             )
+        if self.num_steps % RELEASE_EVERY == 0:  # after the sample: it shows what has gathered
+            release_freed_memory()
 
     def facts(self) -> dict[str, Any]:
         """Return what was found."""
