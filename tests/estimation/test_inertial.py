@@ -36,7 +36,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_marginalization import without_blind
-from probevo.estimation.window_numba import POSE, RIG
+from probevo.estimation.window_system import POSE, RIG
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 from probevo.noise import StudentT

@@ -23,7 +23,7 @@ from probevo.estimation.window_marginalization import (
 )
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
-from probevo.estimation.window_numba import JITTER, LENS, POSE, RIG
+from probevo.estimation.window_system import JITTER, LENS, POSE, RIG
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared

@@ -36,7 +36,7 @@ from probevo.estimation.inertial_states import (
 )
 from probevo.estimation.window import MarginalPrior, Window
 from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_numba import POSE, WindowEquations
+from probevo.estimation.window_system import POSE, WindowEquations
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import (

@@ -23,7 +23,7 @@ from probevo.estimation.inertial_states import (
     linearized,
 )
 from probevo.estimation.window import Window
-from probevo.estimation.window_numba import POSE, RIG
+from probevo.estimation.window_system import POSE, RIG
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
 

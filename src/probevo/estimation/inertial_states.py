@@ -20,7 +20,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_numba import POSE, RIG, WindowEquations
+from probevo.estimation.window_system import POSE, RIG, WindowEquations
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 

@@ -15,7 +15,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.distortion_effect import DistortionEffect
-from probevo.estimation.window_numba import JITTER, POSE, RIG, WindowLandmarks, WindowObservations
+from probevo.estimation.window_system import JITTER, POSE, RIG, WindowLandmarks, WindowObservations
 from probevo.geometry import se3
 
 if TYPE_CHECKING:

@@ -48,7 +48,8 @@ from probevo.estimation.window_marginalization import (
     without_poses,
 )
 from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_numba import (
+from probevo.estimation.window_numba import accumulate, fill_roots, move_landmarks, standing_factors
+from probevo.estimation.window_system import (
     FRAME,
     JITTER,
     LANDMARK,
@@ -61,10 +62,6 @@ from probevo.estimation.window_numba import (
     WindowGeometry,
     WindowLandmarks,
     WindowObservations,
-    accumulate,
-    fill_roots,
-    move_landmarks,
-    standing_factors,
 )
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement

@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window import Window
-from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, WindowEquations
+from probevo.estimation.window_system import FRAME, JITTER, POSE, RIG, WindowEquations
 
 
 @dataclass(frozen=True)
