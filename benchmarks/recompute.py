@@ -144,6 +144,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "other-images",
+        ("docs/degradation.md",),
+        "python benchmarks/other_images.py",
+        minutes=10,
+        needs_data=True,
+    ),
+    Figure(
         "learning-spoiled",
         ("docs/degradation.md",),
         "python benchmarks/learning_spoiled.py",

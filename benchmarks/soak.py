@@ -444,15 +444,18 @@ def soak_live(
     )
     soak = LiveSoak(odometry, faults, watch)
     injected: Counter[str] = Counter()
-    waiting = None  # the image of a frame that the odometry may not have seen yet
+    newest = None  # the image of the last frame
+    waiting = None  # that of a frame that the odometry may not have seen yet
     for item in played:
         if watch.is_over():
             break
         frame = item.frame
-        held = [waiting] if odometry.state is None else [odometry.state.frame.left, waiting]
+        held = [newest, waiting]
+        if odometry.state is not None:
+            held.append(odometry.state.frame.left)
         if frame.left is not None and any(frame.left is image for image in held):
             # The recording has turned where a frame was lost or failed: an image that the odometry
-            # still holds is rightly refused.
+            # still holds, or that came last, is rightly refused.
             continue
         kind = drawn.random()
         if kind < SHARE:
@@ -475,6 +478,7 @@ def soak_live(
             injected["frames at once with the next"] += 1
             wait = False
         soak.push(frame, wait=wait)
+        newest = frame.left
         waiting = None if wait else frame.left
     soak.end()
     counted = soak.counted

@@ -6,6 +6,7 @@ import threading
 import traceback
 import weakref
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -221,23 +222,58 @@ def dead() -> pv.LiveOdometry:
     return live
 
 
-def test_a_permanent_fault_is_raised_wherever_it_is_asked_for() -> None:
+def test_a_permanent_fault_is_raised_wherever_it_is_asked_for_until_closed() -> None:
     live = dead()
+    live._thread.join()
     for ask in (
         lambda: next(live.estimates()),
         lambda: live.push(blind_frame(MAX_FAILURES)),
-        live.close,
-        live.close,
+        lambda: next(live.estimates()),
     ):
         with pytest.raises(InputError, match="Buy another"):
             ask()
     depth = []
     for _ in range(3):
-        with pytest.raises(InputError) as error:
-            live.close()
+        with pytest.raises(InputError, match="Buy another") as error:
+            live.push(blind_frame(MAX_FAILURES))
         depth.append(len(error.traceback))
     assert depth[0] == depth[2]  # it does not grow by being raised
+    with pytest.raises(InputError, match="Buy another"):
+        live.close()
+    live.close()
+    with pytest.raises(RuntimeError, match="after close"):
+        live.push(blind_frame(MAX_FAILURES))
+    assert list(live.estimates()) == []
     assert live.num_failed == MAX_FAILURES
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_whose_callback_failed_goes_without_garbage_collection_once_closed(closes: bool) -> None:
+    """The fault, its traceback and the calls in it do not keep one another."""
+
+    def fail(estimate: pv.LiveEstimate) -> None:
+        raise OverflowError
+
+    def failed() -> weakref.ref[object]:
+        live = pv.LiveOdometry(Raising(), waiting=2, on_estimate=fail)
+        live.push(blind_frame(0))  # its step fails, and that is the last failure
+        live.push(blind_frame(1))
+        # ``pytest.raises`` would make a cycle of its own.
+        if closes:
+            with suppress(OverflowError):
+                live.close()
+        else:
+            with suppress(KeyError), live:
+                raise KeyError
+        return weakref.ref(live)
+
+    gc.collect()
+    gc.disable()
+    try:
+        kept = failed()
+        assert kept() is None
+    finally:
+        gc.enable()
 
 
 def test_frames_that_wait_when_the_callback_fails_count_as_dropped() -> None:
@@ -337,10 +373,11 @@ def test_what_has_failed_keeps_neither_images_nor_the_odometry() -> None:
         live = pv.LiveOdometry(odometry, waiting=9, on_estimate=fail)
         live.push(seen(0))
         live.push(seen(1))
-        with pytest.raises(OverflowError):
-            live.close()
+        live._thread.join()
         with pytest.raises(OverflowError):
             live.push(seen(2))
+        with pytest.raises(OverflowError):
+            live.close()
         kept.append(weakref.ref(odometry))
         del odometry
         alive = [thing() is not None for thing in kept]

@@ -115,8 +115,9 @@ class LiveOdometry:
 
     ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. The
     exception of a permanent fault, or of ``on_estimate``, ends the thread, and is raised by
-    ``push``, ``estimates()`` and ``close``. Exceptions that are kept have the lines of their
-    traceback, but not the variables of these calls, which would keep images.
+    ``push`` and ``estimates()`` until ``close``, which raises it once. Exceptions that are kept
+    have the lines of their traceback, but not the variables of these calls, which would keep
+    images.
 
     Args:
         odometry: the odometry; nothing else may call its ``step`` meanwhile.
@@ -238,15 +239,26 @@ class LiveOdometry:
     def close(self, *, drain: bool = True) -> None:
         """Accept no more frames, and return when the thread has ended.
 
-        Estimates that are not yet read can still be read.
+        Estimates that are not yet read can still be read. What has ended the thread before is
+        raised the first time.
 
         Args:
             drain: process the waiting frames first; otherwise they are dropped, and only the
                 current step is finished.
         """
         self._end(drain)
-        with self._changed:
-            self._raise_fault()
+        # The last time that the fault is raised. If it was kept behind that, it and its traceback
+        # would refer to each other, through the calls that it passes now.
+        fault = self._fault
+        traceback = self._fault_traceback
+        self._fault = None
+        self._fault_traceback = None
+        if fault is None:
+            return
+        try:
+            raise fault.with_traceback(traceback)
+        finally:
+            del fault, traceback
 
     def __enter__(self) -> LiveOdometry:
         """Return itself: it runs since it was made."""
@@ -256,8 +268,10 @@ class LiveOdometry:
         """Close it; after an exception at once, and without another one."""
         if kind is None:
             self.close()
-        else:
-            self._end(drain=False)
+            return
+        self._end(drain=False)
+        self._fault = None
+        self._fault_traceback = None
 
     def _end(self, drain: bool) -> None:
         with self._changed:
@@ -295,6 +309,7 @@ class LiveOdometry:
                 self._newest = None
                 self._refused_imu = None
                 self._changed.notify_all()
+            del self  # which keeps the exception
 
     def _step_frames(self, odometry: StereoOdometry) -> None:
         """Step the odometry until it is closed."""
