@@ -108,6 +108,12 @@ FIGURES = (
         "window", ("docs/window.md",), "python benchmarks/window.py", minutes=10, needs_data=True
     ),
     Figure(
+        "window-consistency",
+        ("docs/window.md",),
+        "python benchmarks/window_consistency.py",
+        minutes=110,
+    ),
+    Figure(
         "window-learning",
         ("docs/window.md",),
         "python benchmarks/window_learning.py",
