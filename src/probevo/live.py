@@ -249,10 +249,10 @@ class LiveOdometry:
         self._end(drain)
         # The last time that the fault is raised. If it was kept behind that, it and its traceback
         # would refer to each other, through the calls that it passes now.
-        fault = self._fault
-        traceback = self._fault_traceback
-        self._fault = None
-        self._fault_traceback = None
+        with self._changed:
+            fault = self._fault
+            traceback = self._fault_traceback
+            self._forget_fault()
         if fault is None:
             return
         try:
@@ -270,8 +270,8 @@ class LiveOdometry:
             self.close()
             return
         self._end(drain=False)
-        self._fault = None
-        self._fault_traceback = None
+        with self._changed:
+            self._forget_fault()
 
     def _end(self, drain: bool) -> None:
         with self._changed:
@@ -282,6 +282,10 @@ class LiveOdometry:
             self._changed.notify_all()
         if current_thread() is not self._thread:  # on_estimate may close it, too
             self._thread.join()
+
+    def _forget_fault(self) -> None:
+        self._fault = None
+        self._fault_traceback = None
 
     def _raise_fault(self) -> None:
         if self._fault is not None:
