@@ -41,7 +41,7 @@ def release_freed_memory() -> bool:
 
     In a heap that keeps freed memory, small blocks come to lie among the images, and each image
     that no longer fits anywhere makes the heap larger: a few megabytes in a day of frames. A
-    process that lives so long calls this every few minutes, between two frames. It takes about a
+    process that lives so long calls this every ten seconds, between two frames. It takes about a
     millisecond, and the next frame pays for fresh pages.
     """
     malloc_trim = _of_glibc("malloc_trim")
