@@ -118,10 +118,7 @@ def rendered_once(config: SceneConfig) -> SceneRecording:
 def test_learn_whom_to_trust(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What was learned in one street makes steps in another better; here with smaller images.
-
-    By how much is chance on one pair of streets: 0.96, 0.86 and 0.16 times the error on three.
-    """
+    """What was learned in one street makes steps in another better; here with smaller images."""
     example = load("04_learn_whom_to_trust.py")
     rig = RigConfig(width_px=414, height_px=126, focal_px=240.0)
     monkeypatch.setattr(
@@ -131,7 +128,7 @@ def test_learn_whom_to_trust(
     lines = capsys.readouterr().out.splitlines()
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]
-    assert mean_mm["learned"] < mean_mm["student-t"]
+    assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]
 
 
 def test_merge_rows(monkeypatch: pytest.MonkeyPatch) -> None:
