@@ -23,8 +23,10 @@ from recordings import ROOT
 import probevo as pv
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.noise.named import noise_model
 from probevo.sequences.frame import Frame
 
 ALL_RECORDINGS = {
@@ -170,6 +172,10 @@ def main() -> None:
     parser.add_argument("--of", nargs="+", choices=ALL_RECORDINGS, default=list(ALL_RECORDINGS))
     parser.add_argument("--noise", default="student-t")
     given = parser.parse_args()
+    try:
+        noise_model(given.noise)
+    except InputError as error:
+        parser.error(str(error))
     cv2.setNumThreads(1)
     for recording in given.of:
         path, first = ALL_RECORDINGS[recording]

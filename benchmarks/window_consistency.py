@@ -30,9 +30,11 @@ from scipy.stats import chi2
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.noise.base import StereoNoise
+from probevo.noise.named import noise_model
 from probevo.predictors import prediction_space
 from probevo_sim.point_config import PointConfig, PointNoise, PointOutliers
 from probevo_sim.point_world import simulate_points
@@ -140,8 +142,10 @@ def drive(place: str, seed: int, given: argparse.Namespace) -> FloatArray:
     """Return the squared errors of a drive; of an earlier call where it has left them."""
     kept = None
     if given.out is not None:
-        name = f"{place}{' with IMU' if given.imu else ''} {seed}.npy".replace(", ", "_")
-        kept = given.out / name.replace(" ", "_")
+        # The name says what the numbers depend on.
+        noise = "" if place == POINTS else f" {Path(given.noise).stem}"
+        imu = " with IMU" if given.imu and place != POINTS else ""
+        kept = given.out / f"{place}{noise}{imu} {given.frames} frames {seed}.npy"
         if kept.exists():
             return np.load(kept)
     cv2.setNumThreads(1)
@@ -185,9 +189,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=PLACES, default=PLACES)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
+    if given.frames <= EVERY or given.frames % EVERY != 1:
+        parser.error(f"--frames {given.frames}: give a multiple of {EVERY}, and one more.")
+    if given.drives < 1:
+        parser.error(f"--drives {given.drives}: give at least 1.")
+    try:
+        noise_model(given.noise)
+    except InputError as error:
+        parser.error(str(error))
     if given.out is not None:
         given.out.mkdir(parents=True, exist_ok=True)
-    print(f"| place | motion | mean | median ¹ | interval | inside of {REGIONS} |")
+    print(f"| place | motion | mean | median | interval | inside of {REGIONS} |")
     print("|---|---|---|---|---|---|")
     for place in given.only:
         seeds = range(given.seed, given.seed + given.drives)
