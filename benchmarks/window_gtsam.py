@@ -14,8 +14,8 @@ import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.window import Window
-from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.relative_pose import RelativePose

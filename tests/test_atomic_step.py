@@ -300,11 +300,11 @@ STAGES = {
     "sensor fusion": Stage("probevo.estimation.sensor_fusion:SensorFusion", "updated"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
     "window's new frame": Stage(
-        "probevo.estimation.window_estimator:WindowEstimator", "with_frame"
+        "probevo.estimation.window.estimator:WindowEstimator", "with_frame"
     ),
-    "window's adjustment": Stage("probevo.estimation.window_estimator:WindowEstimator", "adjusted"),
+    "window's adjustment": Stage("probevo.estimation.window.estimator:WindowEstimator", "adjusted"),
     "marginalisation": Stage(
-        "probevo.estimation.window_estimator:WindowEstimator", "without_oldest", first=3
+        "probevo.estimation.window.estimator:WindowEstimator", "without_oldest", first=3
     ),
     "live motion": Stage("probevo.odometry", "live_motion"),
     "observation store": Stage(

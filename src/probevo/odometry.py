@@ -16,7 +16,6 @@ from probevo.camera.rig_jitter import LEARNED_FRAMES, RigJitter
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.frozen_images import are_frozen
 from probevo.estimation.landmarks import Landmarks, triangulated
@@ -27,9 +26,10 @@ from probevo.estimation.search_starts import rotated_starts, track_from_best_sta
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations_squared
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
-from probevo.estimation.window import Window
-from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_motion import live_advance, live_motion
+from probevo.estimation.window import inertial
+from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.live_motion import live_advance, live_motion
+from probevo.estimation.window.window import Window
 from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias

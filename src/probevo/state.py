@@ -12,13 +12,6 @@ from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.inertial import (
-    Inertial,
-    may_bridge,
-    trusts_gyro,
-    uses_imu,
-    with_samples,
-)
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.noise_scale import NoiseScale
@@ -31,7 +24,14 @@ from probevo.estimation.recovery import (
 )
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.sensor_fusion import SensorFusion
-from probevo.estimation.window import Window
+from probevo.estimation.window.inertial import (
+    Inertial,
+    may_bridge,
+    trusts_gyro,
+    uses_imu,
+    with_samples,
+)
+from probevo.estimation.window.window import Window
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.measurements.relative_pose import RelativePose

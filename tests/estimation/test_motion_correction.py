@@ -14,9 +14,9 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_correction import LEAST_WEIGHT, Shares, shares_of
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import Window
-from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_measurements import with_measurements
+from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import pose_of

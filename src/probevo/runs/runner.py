@@ -17,9 +17,9 @@ import numpy as np
 from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.estimation.inertial import noise_factor_of, reason_not_used
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import SmoothedPose, Window
+from probevo.estimation.window.inertial import noise_factor_of, reason_not_used
+from probevo.estimation.window.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
 from probevo.evaluation.metrics import Metrics, evaluate

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_system import POSE, RIG, WindowEquations
+from probevo.estimation.window.equations import POSE, RIG, WindowEquations
+from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.window import Window
+from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 
 LARGEST_ATTITUDE_SIGMA_RAD = 0.2

@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.window import Window
-from probevo.estimation.window_system import FRAME, JITTER, POSE, RIG, WindowEquations
+from probevo.estimation.window.equations import FRAME, JITTER, POSE, RIG, WindowEquations
+from probevo.estimation.window.window import Window
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Compiled normal equations of a window; each landmark is eliminated as soon as it is added up.
 
-For each landmark: its observations are linearised (``window_track_numba``), it is weighed
-(``window_trust_numba``), and what it says of frames and rig is added up without it
-(``window_sums_numba``). Once frames and rig have moved, the landmarks follow.
+For each landmark: its observations are linearised (``landmark_track_numba``), it is weighed
+(``landmark_trust_numba``), and what it says of frames and rig is added up without it
+(``landmark_sums_numba``). Once frames and rig have moved, the landmarks follow.
 """
 
 from __future__ import annotations
@@ -11,17 +11,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, factor, invert_symmetric_4
-from probevo.estimation.window_sums_numba import (
-    PAIR,
-    Workspace,
-    add_common,
-    add_motions,
-    add_pairs,
-    couple,
-    eliminate,
-    factor_information,
-)
-from probevo.estimation.window_system import (
+from probevo.estimation.window.equations import (
     FRAME,
     LANDMARK,
     PIXELS,
@@ -33,12 +23,22 @@ from probevo.estimation.window_system import (
     WindowLandmarks,
     WindowObservations,
 )
-from probevo.estimation.window_track_numba import (
+from probevo.estimation.window.landmark_sums_numba import (
+    PAIR,
+    Workspace,
+    add_common,
+    add_motions,
+    add_pairs,
+    couple,
+    eliminate,
+    factor_information,
+)
+from probevo.estimation.window.landmark_track_numba import (
     empty_track,
     linearize_track,
     window_problem,
 )
-from probevo.estimation.window_trust_numba import (
+from probevo.estimation.window.landmark_trust_numba import (
     TESTED,
     VELOCITY,
     standing_factor,

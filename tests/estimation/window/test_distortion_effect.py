@@ -7,7 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
-from probevo.estimation.distortion_effect import DistortionEffect
+from probevo.estimation.window.distortion_effect import DistortionEffect
 from probevo.geometry import se3
 from worlds import FORWARD, image_errors
 

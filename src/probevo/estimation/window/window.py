@@ -14,12 +14,18 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.estimation.distortion_effect import DistortionEffect
-from probevo.estimation.window_system import JITTER, POSE, RIG, WindowLandmarks, WindowObservations
+from probevo.estimation.window.distortion_effect import DistortionEffect
+from probevo.estimation.window.equations import (
+    JITTER,
+    POSE,
+    RIG,
+    WindowLandmarks,
+    WindowObservations,
+)
 from probevo.geometry import se3
 
 if TYPE_CHECKING:
-    from probevo.estimation.inertial import Inertial
+    from probevo.estimation.window.inertial import Inertial
 
 RIGID_SIGMA_RAD = 1e-9
 """Standard deviation of the jitter of a rig that is said to be flawless, rad."""

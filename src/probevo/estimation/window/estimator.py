@@ -33,23 +33,11 @@ from probevo.camera.rig_calibration import (
 )
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation import inertial
-from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.self_calibration import CalibratedMotion
-from probevo.estimation.window import MarginalPrior, Window, merged, selected
-from probevo.estimation.window_jitter import JitterElimination, jitter_places, without_jitter
-from probevo.estimation.window_marginalization import (
-    kept_positive,
-    pose_covariance,
-    with_pose,
-    without_blind,
-    without_poses,
-)
-from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_numba import accumulate, fill_roots, move_landmarks, standing_factors
-from probevo.estimation.window_system import (
+from probevo.estimation.window import inertial
+from probevo.estimation.window.equations import (
     FRAME,
     JITTER,
     LANDMARK,
@@ -63,6 +51,27 @@ from probevo.estimation.window_system import (
     WindowLandmarks,
     WindowObservations,
 )
+from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.inertial_states import InertialSystem
+from probevo.estimation.window.jitter_elimination import (
+    JitterElimination,
+    jitter_places,
+    without_jitter,
+)
+from probevo.estimation.window.marginalization import (
+    kept_positive,
+    pose_covariance,
+    with_pose,
+    without_blind,
+    without_poses,
+)
+from probevo.estimation.window.normal_equations_numba import (
+    accumulate,
+    fill_roots,
+    move_landmarks,
+    standing_factors,
+)
+from probevo.estimation.window.window import MarginalPrior, Window, merged, selected
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose

@@ -14,16 +14,16 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import MarginalPrior, Window, selected
-from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_marginalization import (
+from probevo.estimation.window.equations import JITTER, LENS, POSE, RIG
+from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.live_motion import live_motion
+from probevo.estimation.window.marginalization import (
     LEAST_INFORMATION,
     kept_positive,
     without_blind,
 )
-from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_motion import live_motion
-from probevo.estimation.window_system import JITTER, LENS, POSE, RIG
+from probevo.estimation.window.window import MarginalPrior, Window, selected
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared

@@ -36,7 +36,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, compiled_into_callers
-from probevo.estimation.window_system import (
+from probevo.estimation.window.equations import (
     FRAME,
     LANDMARK,
     LENS,

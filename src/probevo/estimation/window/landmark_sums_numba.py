@@ -17,7 +17,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, compiled_into_callers
-from probevo.estimation.window_system import (
+from probevo.estimation.window.equations import (
     FRAME,
     LANDMARK,
     PIXELS,
@@ -26,13 +26,13 @@ from probevo.estimation.window_system import (
     Elimination,
     WindowEquations,
 )
-from probevo.estimation.window_track_numba import (
+from probevo.estimation.window.landmark_track_numba import (
     COMMON,
     LinearizedTrack,
     WindowProblem,
     share_of_own,
 )
-from probevo.estimation.window_trust_numba import Trust
+from probevo.estimation.window.landmark_trust_numba import Trust
 
 # The sums for each state of ζ_k: its information with ζ_k, with ζ of the frame before and with the
 # rig, and its gradient.

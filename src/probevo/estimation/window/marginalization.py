@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_system import POSE, RIG
+from probevo.estimation.window.equations import POSE, RIG
+from probevo.estimation.window.window import MarginalPrior, Window
 
 LEAST_SHARE = 1e-12
 """Least information about the place of a window, over that about the motions within it. It is that

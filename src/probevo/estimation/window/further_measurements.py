@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_system import POSE
+from probevo.estimation.window.equations import POSE
+from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.inertial_states import (
+from probevo.estimation.window.equations import POSE, RIG
+from probevo.estimation.window.inertial_states import (
     GRAVITY_M_S2,
     STATE,
     InertialStates,
@@ -22,8 +23,7 @@ from probevo.estimation.inertial_states import (
     inverse_of,
     linearized,
 )
-from probevo.estimation.window import Window
-from probevo.estimation.window_system import POSE, RIG
+from probevo.estimation.window.window import Window
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
 

@@ -10,7 +10,10 @@ import pytest
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
-from probevo.estimation.inertial import (
+from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.window.equations import POSE, RIG
+from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.inertial import (
     ImuStatus,
     Inertial,
     may_bridge,
@@ -20,11 +23,11 @@ from probevo.estimation.inertial import (
     uses_imu,
     with_samples,
 )
-from probevo.estimation.inertial_start import InertialFit
-from probevo.estimation.inertial_states import (
+from probevo.estimation.window.inertial_start import InertialFit
+from probevo.estimation.window.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
-from probevo.estimation.inertial_states import (
+from probevo.estimation.window.inertial_states import (
     STATE,
     InertialStates,
     inertial_system,
@@ -32,11 +35,8 @@ from probevo.estimation.inertial_states import (
     moved,
     predicted,
 )
-from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import Window
-from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_marginalization import without_blind
-from probevo.estimation.window_system import POSE, RIG
+from probevo.estimation.window.marginalization import without_blind
+from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 from probevo.noise import StudentT

@@ -13,17 +13,19 @@ from enum import Enum, auto
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.inertial_noise import (
+from probevo.estimation.window.equations import POSE, WindowEquations
+from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.inertial_noise import (
     Innovation,
     estimated_noise_factor,
     innovation_of,
     median_excess,
 )
-from probevo.estimation.inertial_start import (
+from probevo.estimation.window.inertial_start import (
     fit_inertial_states,
     with_gravity_of_known_length,
 )
-from probevo.estimation.inertial_states import (
+from probevo.estimation.window.inertial_states import (
     InertialPrediction,
     InertialStates,
     InertialSystem,
@@ -34,9 +36,7 @@ from probevo.estimation.inertial_states import (
     with_frame,
     without_first_frame,
 )
-from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_system import POSE, WindowEquations
+from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import (

@@ -25,8 +25,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled_into_callers
-from probevo.estimation.window_system import LANDMARK, PIXELS, WindowObservations
-from probevo.estimation.window_track_numba import (
+from probevo.estimation.window.equations import LANDMARK, PIXELS, WindowObservations
+from probevo.estimation.window.landmark_track_numba import (
     COMMON,
     LinearizedTrack,
     WindowProblem,

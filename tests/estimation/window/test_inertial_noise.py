@@ -7,8 +7,8 @@ import pytest
 
 from inertial_worlds import CALIBRATION, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
-from probevo.estimation.inertial import noise_factor_of
-from probevo.estimation.inertial_noise import (
+from probevo.estimation.window.inertial import noise_factor_of
+from probevo.estimation.window.inertial_noise import (
     MEDIAN_SQUARED,
     Innovation,
     estimated_noise_factor,
