@@ -26,7 +26,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.consistency import motion_consistency
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3
-from probevo.output.report_data import drift_of
+from probevo.output.report.report_data import drift_of
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.output.run_warnings import run_warnings
 from probevo.sequences.frame import Frame

@@ -30,7 +30,12 @@ from recordings import RECORDINGS, ROOT
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.noise.named import noise_model
-from probevo.sequences.kitti_flow import TRUTH_FRAME, FlowTruth, read_flow_truth, scene_numbers
+from probevo.sequences.formats.kitti_flow import (
+    TRUTH_FRAME,
+    FlowTruth,
+    read_flow_truth,
+    scene_numbers,
+)
 
 HALF_PX = 4
 """Half a window of the truth, to which a plane is fitted."""

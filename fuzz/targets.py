@@ -36,7 +36,7 @@ from probevo.noise import model_file
 from probevo.noise.model_io import load_model, save_model
 from probevo.run_config import RunConfig, config_text, read_config
 from probevo.sequences import open_sequence
-from probevo.sequences.calibration_files import read_stereo_calibration
+from probevo.sequences.calibrations.calibration_files import read_stereo_calibration
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.yaml_file import load_yaml
 from probevo.storage.npz import read_npz
@@ -431,7 +431,7 @@ def write_drive(path: Path) -> Path:
 
 def calibration_seeds() -> tuple[Seed, ...]:
     """Write calibrations of several programs, each beside a raw recording."""
-    from sequences import test_calibration_files as kinds
+    from sequences.calibrations import test_calibration_files as kinds
 
     def kalibr(folder: Path) -> Path:
         return kinds.write_yaml(folder / "camchain.yaml", kinds.kalibr())

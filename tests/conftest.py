@@ -28,7 +28,7 @@ LONGEST = (
     *("paper/test_figure_5.py", "evaluation/test_accelerometer_scale.py", "test_odometry.py"),
     *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
     *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
-    *("output/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
+    *("output/report/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
     *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from probevo.cli import compare
 from probevo.errors import InputError
 from probevo.noise.registry import untrained_names
-from probevo.output.comparison import Comparison
+from probevo.output.comparison.comparison import Comparison
 from probevo.output.trial_table import TrialTable
 from probevo.sequences import open_sequence
 from probevo_paper.command_steps import refuse_other_camera, render, table_text, train_all

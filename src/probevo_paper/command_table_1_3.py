@@ -7,7 +7,7 @@ from pathlib import Path
 from probevo.cli import compare
 from probevo.errors import InputError
 from probevo.noise.model_io import load_model
-from probevo.output.comparison import Comparison, Entry
+from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.trial_table import TrialTable
 from probevo.sequences import Sequence
 from probevo_paper.command_steps import refuse_other_camera, render, table_text, train_all

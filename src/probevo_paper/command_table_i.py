@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from probevo.cli import compare, train
-from probevo.output.comparison import Comparison
+from probevo.output.comparison.comparison import Comparison
 from probevo.output.trial_table import TrialTable
 from probevo.sequences import open_sequence
 from probevo_paper.command_steps import table_text

@@ -6,8 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from probevo import __version__
-from probevo.output.comparison import Comparison, Entry, truth_note
-from probevo.output.comparison_page import write_comparison
+from probevo.output.comparison.comparison import Comparison, Entry, truth_note
+from probevo.output.comparison.comparison_page import write_comparison
 from probevo.output.trial_table import UNKNOWN, Errors, TrialRow, TrialTable
 from probevo_paper.gk_tables import ESTIMATOR_NOTE, FITTED, GK_GT
 from probevo_paper.table_1_2 import ESTIMATORS, OWN, PUBLISHED, SYNTHETIC

@@ -9,7 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.geometry import se3
-from probevo.output.comparison import Comparison, Entry
+from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.trial_table import Errors, TrialRow, TrialTable
 from probevo.training.settings import TrainSettings
 from probevo_paper.gk_tables import ESTIMATOR_NOTE, FITTED, GK_EM, STATIC

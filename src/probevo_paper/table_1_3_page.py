@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from probevo import __version__
-from probevo.output.comparison import Comparison, Entry
-from probevo.output.comparison_plots import paths_figure
+from probevo.output.comparison.comparison import Comparison, Entry
+from probevo.output.comparison.comparison_plots import paths_figure
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import BLUE, CYCLE, GREY, LEGEND_ABOVE, WIDTH_IN, figure_style
 from probevo.output.trial_table import TrialTable, trials_section

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from probevo import __version__
-from probevo.output.comparison import Comparison, Entry, truth_note
-from probevo.output.comparison_page import write_comparison
+from probevo.output.comparison.comparison import Comparison, Entry, truth_note
+from probevo.output.comparison.comparison_page import write_comparison
 from probevo.output.trial_table import UNKNOWN, TrialRow, TrialTable, errors_of
 from probevo_paper.table_files import write_table_files
 from probevo_paper.table_i import ESTIMATORS, TRIALS, TablePlan

@@ -64,7 +64,9 @@ def _loader() -> Any:
 def _without_reports() -> Any:
     """Those of the single runs take most of the time; here they are empty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+        patch.setattr(
+            "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+        )
         yield
 
 

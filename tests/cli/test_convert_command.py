@@ -75,7 +75,7 @@ def test_run_and_convert_write_the_same_odometry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """--write of a run, and convert of its folder; the second has no CameraInfo."""
-    from output.test_odometry_bag import read
+    from output.ros.test_odometry_bag import read
 
     wall = write_wall(tmp_path / "wall", 4)
     now = tmp_path / "now.mcap"

@@ -89,7 +89,9 @@ def test_a_second_demo_renders_nothing(
     monkeypatch.setattr(
         "probevo.cli.train.train_with_progress", lambda _, __, out: save_model(StudentT(), out)
     )
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+    monkeypatch.setattr(
+        "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+    )
     demo.demo(SCENES, tmp_path)
     assert "The first time takes three to five minutes" in capsys.readouterr().out
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}

@@ -75,7 +75,7 @@ def test_the_terminal_gives_each_warning_of_the_report(
     """A focal length that was wrong by half once had a warning on the report alone."""
     said = {"Focal length": "It is wrong.", "A sensor is faulty": "The sun is."}
     monkeypatch.setattr("probevo.output.run_warnings.run_warnings", lambda *_: said)
-    monkeypatch.setattr("probevo.output.report.run_warnings", lambda *_: said)
+    monkeypatch.setattr("probevo.output.report.report.run_warnings", lambda *_: said)
     assert main(["run", str(wall), "--out", str(tmp_path)]) == 0
     errors = capsys.readouterr().err
     report = (tmp_path / "report.html").read_text()
@@ -316,7 +316,7 @@ def test_where_not_all_files_can_be_written_older_results_stay(
         raise stop
 
     out = shutil.copytree(wall_run, tmp_path / "out")
-    monkeypatch.setattr("probevo.output.report.write_report", failing)
+    monkeypatch.setattr("probevo.output.report.report.write_report", failing)
     with pytest.raises(type(stop)):
         run_sequence(open_sequence(wall), RunConfig(noise="fixed"), out)
     assert unchanged(out, wall_run)

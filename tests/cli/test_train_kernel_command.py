@@ -286,7 +286,9 @@ def test_trained_models_side_by_side(
 ) -> None:
     """A file with the name of a classical model is distinguished from it. Reports of the runs are
     left out."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+    monkeypatch.setattr(
+        "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+    )
     static = tmp_path / "city" / "student-t.safetensors"
     kernel = tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0

@@ -8,7 +8,7 @@ import pytest
 
 from output.pages import Balance
 from probevo.evaluation.metrics import Metrics
-from probevo.output.comparison import Comparison, Entry
+from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.run_result import RunResult
 from probevo.output.table import latex
 from probevo.output.trial_table import (

@@ -45,7 +45,9 @@ def stand_ins(iterations: list[dict[str, float]] | None = None) -> Iterator[Simp
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probevo_sim.command.render_with_progress", render_wall)
         patch.setattr("probevo.cli.train.train_with_progress", train)
-        patch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+        patch.setattr(
+            "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+        )
         yield calls
 
 

@@ -177,7 +177,9 @@ def test_mistakes_are_named_before_anything_is_rendered(
 @pytest.mark.slow
 def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is replaced, except that the reports of single runs are left out."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+    monkeypatch.setattr(
+        "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+    )
     words = [
         "--rows",
         "synthetic",

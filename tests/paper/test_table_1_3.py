@@ -16,7 +16,7 @@ from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
-from probevo.output.comparison import Entry
+from probevo.output.comparison.comparison import Entry
 from probevo.output.run_result import RunRecorder
 from probevo_paper.table_1_3 import ESTIMATORS, PUBLISHED, knows_ends, loop_error_m, loops
 from probevo_paper.table_1_3_config import Table13Config

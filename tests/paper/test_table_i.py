@@ -54,7 +54,9 @@ def repeat_table(kitti: Path, out: Path, *words: str) -> int:
 @pytest.fixture(autouse=True)
 def _without_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the reports of single runs, which take most of the time."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
+    monkeypatch.setattr(
+        "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+    )
 
 
 @pytest.fixture

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.sequences.calibration_content import load_calibration
-from probevo.sequences.calibration_files import read_stereo_calibration
+from probevo.sequences.calibrations.calibration_content import load_calibration
+from probevo.sequences.calibrations.calibration_files import read_stereo_calibration
+from probevo.sequences.formats.tracks_file import open_tracks
 from probevo.sequences.images import read_gray
 from probevo.sequences.pose_files import (
     read_kitti_poses,
@@ -24,7 +25,6 @@ from probevo.sequences.pose_files import (
 )
 from probevo.sequences.stamps import read_datetimes, read_times
 from probevo.sequences.text import read_stamped_csv, read_table
-from probevo.sequences.tracks_file import open_tracks
 from probevo.sequences.yaml_file import load_yaml
 
 few = settings(

@@ -18,12 +18,12 @@ from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.sequences import open_sequence
-from probevo.sequences.calibration_files import read_stereo_calibration
-from probevo.sequences.ros_camera_info import CameraInfo, stereo_camera
+from probevo.sequences.calibrations.calibration_files import read_stereo_calibration
+from probevo.sequences.calibrations.ros_camera_info import CameraInfo, stereo_camera
 from sequences.bags import as_message, camera_info, raw_image, write_messages
+from sequences.calibrations.test_calibration_files import kalibr, write_yaml
+from sequences.formats.test_rosbag import stereo_messages
 from sequences.recordings import FRAME_NS, HEIGHT_PX, WIDTH_PX, write_euroc, write_folder_sequence
-from sequences.test_calibration_files import kalibr, write_yaml
-from sequences.test_rosbag import stereo_messages
 
 CAMERA = StereoCamera(620.0, 610.0, 601.5, cv_px=180.25, baseline_m=0.54, size_px=(1241, 376))
 SCALED_PX = (620, 188)

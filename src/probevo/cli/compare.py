@@ -18,7 +18,7 @@ from probevo.run_config import CommonRunSettings, ReadSettings, RunConfig, run_c
 
 if TYPE_CHECKING:
     from probevo import sequences
-    from probevo.output.comparison import Comparison, Entry
+    from probevo.output.comparison.comparison import Comparison, Entry
 
 AGGRESSIVE = "aggressive"
 AGGRESSIVE_CONFIDENCE = 0.9999
@@ -125,7 +125,7 @@ def open_recordings(paths: Sequence[Path], settings: ReadSettings | None = None)
     Raises:
         InputError: none is given, or one is given twice, is too short, or cannot be opened.
     """
-    from probevo.output.comparison import distinct_labels
+    from probevo.output.comparison.comparison import distinct_labels
     from probevo.sequences import open_sequence
 
     _refuse_twice("SEQUENCE", [(str(path), str(path.resolve())) for path in paths])
@@ -153,7 +153,7 @@ def estimators_of(specs: Sequence[str], settings: CommonRunSettings) -> list[Est
     """
     from probevo.noise.named import portable
     from probevo.noise.registry import untrained_names
-    from probevo.output.comparison import distinct_labels
+    from probevo.output.comparison.comparison import distinct_labels
 
     names = (*untrained_names(), AGGRESSIVE)
     _refuse_twice("--noise", [(spec, spec if spec in names else portable(spec)) for spec in specs])
@@ -207,7 +207,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     """
     from probevo.noise.named import noise_model, portable
     from probevo.noise.origin import learned_from
-    from probevo.output.comparison import numbered
+    from probevo.output.comparison.comparison import numbered
     from probevo.run_checks import check_run
     from probevo.sensor_kinds import load_sensors
 
@@ -253,7 +253,7 @@ def run_all(
         write: writes the comparison into ``out``.
         out: folder of the comparison, for the note.
     """
-    from probevo.output.comparison import Comparison
+    from probevo.output.comparison.comparison import Comparison
 
     entries: list[Entry] = []
     try:
@@ -274,7 +274,7 @@ def run_all(
 def _run(job: Job, threads: int, prefix: str) -> Entry:
     """Run one job; the prefix says which of all jobs it is."""
     from probevo.cli.run import run_with_progress
-    from probevo.output.comparison import Entry
+    from probevo.output.comparison.comparison import Entry
 
     done = run_with_progress(
         job.recording.sequence,
@@ -298,8 +298,13 @@ def _run(job: Job, threads: int, prefix: str) -> Entry:
 
 def _write(out: Path, comparison: Comparison) -> None:
     from probevo import __version__
-    from probevo.output.comparison_files import document, flat_record, ranking_records, write_csv
-    from probevo.output.comparison_page import write_comparison
+    from probevo.output.comparison.comparison_files import (
+        document,
+        flat_record,
+        ranking_records,
+        write_csv,
+    )
+    from probevo.output.comparison.comparison_page import write_comparison
     from probevo.output.files import write_json
     from probevo.output.trial_table import trial_table, trials_latex
     from probevo.storage.files import write_atomically, written_together
@@ -325,8 +330,8 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison import column_notes, comparison_rows, verdicts
-    from probevo.output.without_truth import without_truth
+    from probevo.output.comparison.comparison import column_notes, comparison_rows, verdicts
+    from probevo.output.comparison.without_truth import without_truth
 
     head, *rows = comparison_rows(comparison)
     return [

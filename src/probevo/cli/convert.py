@@ -74,7 +74,7 @@ def main(words: list[str]) -> None:
         cure = "Images in a folder are PNG files anyway."
         raise InputError("--compressed", f"{arguments.out} is no bag.", cure)
     if is_bag:
-        from probevo.output.bag_writer import check_bag_path
+        from probevo.output.ros.bag_writer import check_bag_path
 
         check_bag_path(arguments.out, "--out")
 
@@ -135,8 +135,8 @@ def _write(
 ) -> None:
     """Write the recording with a progress bar; a folder appears when it is complete."""
     from probevo.cli.progress import progress_bar
-    from probevo.output.recording_bag import write_recording_bag
     from probevo.output.recording_folder import check_new_folder, write_recording_folder
+    from probevo.output.ros.recording_bag import write_recording_bag
 
     num_done = count(1)
     with progress_bar(sequence.path.name, "reading") as show:
@@ -184,9 +184,9 @@ def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
     Raises:
         InputError: its motions are damaged, or the file cannot be written.
     """
-    from probevo.output.bag_writer import check_bag_path
     from probevo.output.motions_file import read_motions
-    from probevo.output.odometry_bag import write_odometry_bag
+    from probevo.output.ros.bag_writer import check_bag_path
+    from probevo.output.ros.odometry_bag import write_odometry_bag
 
     if arguments.out.suffix != VIEWER_SUFFIX:
         check_bag_path(arguments.out, "--out")

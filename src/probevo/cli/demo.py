@@ -18,7 +18,7 @@ from probevo_sim.scene.config import Effects, SceneConfig
 
 if TYPE_CHECKING:
     from probevo.noise.registry import NoiseKind
-    from probevo.output.comparison import Entry
+    from probevo.output.comparison.comparison import Entry
 
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
 """Moderate difficulties, so that the noise of a feature varies. Blur takes too long to render."""
@@ -70,14 +70,14 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo import __version__
     from probevo.cli.train import train_with_progress
     from probevo.noise.registry import noise_kinds, untrained_names
-    from probevo.output.comparison import (
+    from probevo.output.comparison.comparison import (
         Comparison,
         column_notes,
         comparison_rows,
         verdicts,
     )
-    from probevo.output.comparison_page import write_comparison
-    from probevo.output.learning_gain import learning_gains
+    from probevo.output.comparison.comparison_page import write_comparison
+    from probevo.output.comparison.learning_gain import learning_gains
     from probevo_sim.command import render_with_progress
 
     if not (out / "scenes").exists():
@@ -161,7 +161,7 @@ def scene_folder(name: str, config: SceneConfig) -> str:
 def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:
     """Run one noise model over one scene."""
     from probevo.cli.run import run_with_progress
-    from probevo.output.comparison import Entry
+    from probevo.output.comparison.comparison import Entry
     from probevo.sequences import open_sequence
 
     folder_of_run = out / "runs" / f"{name}-{file_name(label)}"

@@ -95,9 +95,9 @@ def describe(sequence: Sequence) -> Rows:
         mask_text,
         truth_text,
     )
+    from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.masked import MaskedRecording
     from probevo.sequences.recording import ImageRecording
-    from probevo.sequences.tracks_file import TracksRecording
 
     is_rectified = isinstance(sequence, ImageRecording) and sequence.rectification is not None
     camera = camera_text(sequence.camera)
@@ -224,8 +224,8 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
 def _reason_against_window(sequence: Sequence) -> str:
     """Return why the window can use the IMU in hardly any step; nothing if it can, or has none."""
     from probevo.measurements.preintegration import NoPreintegration, preintegrate
+    from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.recording import ImageRecording
-    from probevo.sequences.tracks_file import TracksRecording
 
     if not isinstance(sequence, ImageRecording | TracksRecording):
         return ""
@@ -255,8 +255,8 @@ def _noise_text(sequence: Sequence) -> str:
 def _imu_warnings(sequence: Sequence) -> Rows:
     """Look for implausible samples, and compare the gyro with the images."""
     from probevo.cli.info_imu import ImageRotations, imu_warning, sample_warnings
+    from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.recording import ImageRecording
-    from probevo.sequences.tracks_file import TracksRecording
 
     if not isinstance(sequence, ImageRecording | TracksRecording):
         return []

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from probevo.output.comparison import Comparison, Entry, best_errors, truth_note
+from probevo.output.comparison.comparison import Comparison, Entry, best_errors, truth_note
 from probevo.output.page import table_panel
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, reads_least
 

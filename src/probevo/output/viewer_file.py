@@ -21,7 +21,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import TRUST_COLORS_BGR
-from probevo.output.report_data import Drift, drift_of
+from probevo.output.report.report_data import Drift, drift_of
 from probevo.output.run_result import RunResult
 from probevo.sequences.frame import Frame
 from probevo.storage.files import check_folder, written_together

@@ -17,7 +17,7 @@ from probevo.sequences.frame import GroundTruth
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from probevo.output.comparison import Entry
+    from probevo.output.comparison.comparison import Entry
     from probevo.runs.runner import Run
 
 KINDS = ("path", "error")
@@ -46,7 +46,7 @@ def plot(
             a folder is none of a run.
     """
     # Only now: Matplotlib takes half a second.
-    from probevo.output.comparison_plots import errors_figure, paths_figure
+    from probevo.output.comparison.comparison_plots import errors_figure, paths_figure
     from probevo.output.svg import CYCLE, figure_style
 
     if kind not in KINDS:
@@ -68,7 +68,7 @@ def _entries(
     Raises:
         InputError: as ``plot`` raises.
     """
-    from probevo.output.comparison import Entry
+    from probevo.output.comparison.comparison import Entry
     from probevo.runs.runner import Run
 
     if not runs:

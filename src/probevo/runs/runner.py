@@ -29,7 +29,6 @@ from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
-from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import (
     SMOOTHED_KITTI,
@@ -40,6 +39,7 @@ from probevo.output.files import (
 )
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
+from probevo.output.ros.bag_writer import check_bag_path
 from probevo.output.rows import Rows
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
@@ -324,8 +324,8 @@ def _write_results(
 ) -> Run:
     """Write all files of a run, and remove those of an earlier run that this one does not write."""
     # Only now: importing Matplotlib would delay the first frame.
-    from probevo.output.odometry_bag import write_odometry_bag
-    from probevo.output.report import RunDescription, write_report
+    from probevo.output.report.report import RunDescription, write_report
+    from probevo.output.ros.odometry_bag import write_odometry_bag
 
     # Absolute paths, so that --config finds the recording and the noise model from any directory.
     absolute = {

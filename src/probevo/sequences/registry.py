@@ -125,73 +125,73 @@ class SequenceFormat:
 
 
 def _open_kitti_raw(path: Path) -> Sequence:
-    from probevo.sequences.kitti_raw import open_kitti_raw
+    from probevo.sequences.formats.kitti_raw import open_kitti_raw
 
     return open_kitti_raw(path)
 
 
 def _open_kitti_odometry(path: Path) -> Sequence:
-    from probevo.sequences.kitti_odometry import open_kitti_odometry
+    from probevo.sequences.formats.kitti_odometry import open_kitti_odometry
 
     return open_kitti_odometry(path)
 
 
 def _open_kitti_flow(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.kitti_flow import open_kitti_flow
+    from probevo.sequences.formats.kitti_flow import open_kitti_flow
 
     return open_kitti_flow(path, **options)
 
 
 def _open_euroc(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.euroc import open_euroc
+    from probevo.sequences.formats.euroc import open_euroc
 
     return open_euroc(path, **options)
 
 
 def _open_tum_vi(path: Path) -> Sequence:
-    from probevo.sequences.tum_vi import open_tum_vi
+    from probevo.sequences.formats.tum_vi import open_tum_vi
 
     return open_tum_vi(path)
 
 
 def _open_four_seasons(path: Path) -> Sequence:
-    from probevo.sequences.four_seasons import open_four_seasons
+    from probevo.sequences.formats.four_seasons import open_four_seasons
 
     return open_four_seasons(path)
 
 
 def _open_tartan_air(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.tartan_air import open_tartan_air
+    from probevo.sequences.formats.tartan_air import open_tartan_air
 
     return open_tartan_air(path, **options)
 
 
 def _open_virtual_kitti(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.virtual_kitti import open_virtual_kitti
+    from probevo.sequences.formats.virtual_kitti import open_virtual_kitti
 
     return open_virtual_kitti(path, **options)
 
 
 def _open_folder(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.folder import open_folder
+    from probevo.sequences.formats.folder import open_folder
 
     return open_folder(path, FolderOptions(**options))
 
 
 def _open_tracks(path: Path) -> Sequence:
-    from probevo.sequences.tracks_file import open_tracks
+    from probevo.sequences.formats.tracks_file import open_tracks
 
     return open_tracks(path)
 
 
 def _open_rosbag(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.rosbag import open_rosbag
+    from probevo.sequences.formats.rosbag import open_rosbag
 
     return open_rosbag(path, RosbagOptions(**options))
 
 
 def _open_video(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.video import open_video
+    from probevo.sequences.formats.video import open_video
 
     return open_video(path, VideoOptions(**options))
 

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from probevo.errors import InputError
-from probevo.sequences.folder import IMU_HEADER
+from probevo.sequences.formats.folder import IMU_HEADER
 from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
 from probevo.storage.files import check_folder, remove_stale, write_atomically

@@ -7,7 +7,6 @@ from markupsafe import Markup
 
 from probevo.noise.base import StereoNoise
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-from probevo.output.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.common_sections import (
     HOW_IT_WAS_TRAINED,
     IN_THE_FRAME,
@@ -52,6 +51,7 @@ from probevo.output.inspection.training_facts import (
     time_correlation_text,
 )
 from probevo.output.page import grid, heading, panel, row_panel, table_panel
+from probevo.output.report.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.svg import figure_style
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable, text_table
 from probevo.output.templating import rendered

@@ -7,7 +7,6 @@ from markupsafe import Markup
 
 from probevo.arrays import FloatArray
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
-from probevo.output.feature_pictures import Shades, value_shades, weight_shades
 from probevo.output.inspection.common_sections import (
     HOW_IT_WAS_TRAINED,
     IN_THE_FRAME,
@@ -42,6 +41,7 @@ from probevo.output.inspection.subject import (
 from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import origin
 from probevo.output.page import grid, heading, panel, row_panel, table_panel
+from probevo.output.report.feature_pictures import Shades, value_shades, weight_shades
 from probevo.output.svg import figure_style
 from probevo.output.table import readable, text_table
 from probevo.output.templating import rendered

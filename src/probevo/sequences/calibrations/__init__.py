@@ -1,0 +1,1 @@
+"""Calibration files of stereo rigs and IMUs, as probevo and other tools write them."""

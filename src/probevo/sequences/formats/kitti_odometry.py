@@ -1,0 +1,48 @@
+"""KITTI odometry benchmark: a sequence in its native layout.
+
+Images are in ``sequences/<nn>``, poses in ``poses/<nn>.txt``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from probevo.errors import InputError
+from probevo.sequences.calibrations.kitti_calibration import KittiCalibration
+from probevo.sequences.images import list_pairs, read_gray, read_size_px
+from probevo.sequences.pose_files import read_kitti_truth
+from probevo.sequences.recording import StereoRecording
+from probevo.sequences.stamps import read_times
+
+
+def open_kitti_odometry(path: Path) -> StereoRecording:
+    """Open the grayscale cameras 0 and 1 of a sequence.
+
+    Ground truth is ``../../poses/<nn>.txt``, if that file exists. The size of the images is that of
+    the first one, since the layout does not state it.
+
+    Raises:
+        InputError: a file or field is missing, the counts of images, times and poses differ, or a
+            value is impossible.
+    """
+    left_files, right_files = list_pairs(path / "image_0", path / "image_1")
+    height, width = read_gray(left_files[0]).shape
+    right_px = read_size_px(right_files[0])
+    if right_px is not None and right_px != (width, height):
+        what = f"this image has {width}×{height} px, its partner {right_px[0]}×{right_px[1]} px."
+        raise InputError(left_files[0], what, "Both must have the size of the calibration.")
+    calibration = KittiCalibration(path / "calib.txt", "It holds the projections P0 and P1.")
+    camera = calibration.stereo_camera("P0", "P1", (width, height))
+    stamps_ns = read_times(path / "times.txt", len(left_files))
+    absolute = path.resolve()
+    poses = absolute.parent.parent / "poses" / f"{absolute.name}.txt"
+    truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
+    return StereoRecording(
+        path=path,
+        format="kitti-odometry",
+        camera=camera,
+        stamps_ns=stamps_ns,
+        left_files=left_files,
+        right_files=right_files,
+        truth=truth,
+    )
