@@ -8,6 +8,7 @@ import pytest
 from probevo.arrays import FloatArray, Image
 from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
 from probevo.tracking.anchor_patches_numba import brightness_variance, step_scale
+from probevo.tracking.spline import spline_coefficients as spline
 from probevo.tracking.surface_motion import SurfaceMotion
 
 HEIGHT_PX = 160
@@ -20,15 +21,22 @@ GRID = np.stack(
 MIDDLE = np.array([120.0, 80.0])
 
 
-def texture(points: FloatArray) -> FloatArray:
-    """Smooth and random brightness at points [..., 2]: 50 waves of 6 to 60 px."""
+def texture(points: FloatArray, shortest_px: float = 6.0, longest_px: float = 60.0) -> FloatArray:
+    """Smooth and random brightness at points [..., 2]: 50 waves of these lengths."""
     rng = np.random.default_rng(1)
     wave, direction, phase = (
-        2 * np.pi / np.geomspace(6, 60, 50),
+        2 * np.pi / np.geomspace(shortest_px, longest_px, 50),
         *rng.uniform(0, 2 * np.pi, (2, 50)),
     )
     along = points @ np.stack([wave * np.cos(direction), wave * np.sin(direction)])
     return 128.0 + 8.0 * np.sin(along + phase).sum(axis=-1)
+
+
+def fine(shift_px: float) -> Image:
+    """Texture as around corners, waves of 3 to 12 px, shifted along the rows."""
+    v, u = np.mgrid[:HEIGHT_PX, :WIDTH_PX].astype(float)
+    grey = texture(np.stack([u - shift_px, v], axis=-1), 3.0, 12.0)
+    return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
 def shown(A: FloatArray, shift: FloatArray) -> Image:
@@ -60,7 +68,7 @@ FIRST = shown(np.eye(2), np.zeros(2))
 
 @pytest.fixture
 def patches() -> AnchorPatches:
-    return AnchorPatches.cut(FIRST, GRID, SIDE)
+    return AnchorPatches.cut(spline(FIRST), GRID, SIDE)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +88,7 @@ def test_a_patch_is_found_under_an_affine_map(
     shift = np.array([0.4, -0.3])
     true = moved(GRID, A, shift)
     found, difference, after, _ = patches.align_left(
-        shown(A, shift), true + 0.5, grown(GRID, growth)
+        spline(shown(A, shift)), true + 0.5, grown(GRID, growth)
     )
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(after.affine - A)) < 0.02
@@ -97,7 +105,7 @@ def test_an_image_of_another_exposure_is_aligned_as_well(
     exposed = np.round(gain * shown(A, shift) + offset)
     image = np.clip(exposed, 0.0, 255.0).astype(np.uint8)
     true = moved(GRID, A, shift)
-    found, difference, _, _ = patches.align_left(image, true + 0.5, grown(GRID, 1.0))
+    found, difference, _, _ = patches.align_left(spline(image), true + 0.5, grown(GRID, 1.0))
     assert np.isfinite(difference).mean() > 0.95
     assert np.median(np.abs(found - true)) < 0.03
 
@@ -119,9 +127,9 @@ def test_the_subpixel_offset_of_the_anchor_is_kept() -> None:
     """A feature between pixels is that point of its patch, whatever the map."""
     features = GRID + np.array([0.37, -0.21])
     A = 1.15 * np.eye(2)
-    patches = AnchorPatches.cut(FIRST, features, SIDE)
+    patches = AnchorPatches.cut(spline(FIRST), features, SIDE)
     true = moved(features, A, np.zeros(2))
-    found, _, _, _ = patches.align_left(shown(A, np.zeros(2)), true + 0.3, grown(GRID, 1.1))
+    found, _, _, _ = patches.align_left(spline(shown(A, np.zeros(2))), true + 0.3, grown(GRID, 1.1))
     assert np.median(np.abs(found - true)) < 0.03
 
 
@@ -132,7 +140,7 @@ def test_errors_do_not_accumulate_over_many_frames(patches: AnchorPatches) -> No
     for k in range(1, 16):
         A = 1.02**k * np.eye(2)
         pixels, _, patches, _ = patches.align_left(
-            shown(A, np.zeros(2)),
+            spline(shown(A, np.zeros(2))),
             moved(pixels, A @ np.linalg.inv(previous), np.zeros(2)),
             grown(GRID, 1.02),
         )
@@ -160,7 +168,9 @@ def test_the_road_is_found_where_it_is(patches: AnchorPatches, with_perspective:
         motion = grown(feature[None], 1.0)
         if with_perspective:
             motion = motion._replace(perspective=g[None])
-        found, _, after, _ = patches.subset(np.array([k])).align_left(image, feature[None], motion)
+        found, _, after, _ = patches.subset(np.array([k])).align_left(
+            spline(image), feature[None], motion
+        )
         errors.append(found[0] - feature)
         if with_perspective:
             np.testing.assert_array_equal(after.perspective[0], g)
@@ -178,18 +188,24 @@ def test_perspectives_add_up_along_a_track(patches: AnchorPatches) -> None:
     second through the affine map of the first."""
     first = np.tile([0.002, -0.003], (len(GRID), 1))
     second = np.tile([-0.001, -0.004], (len(GRID), 1))
-    _, _, after, _ = patches.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=first))
+    _, _, after, _ = patches.align_left(
+        spline(FIRST), GRID, grown(GRID, 1.0)._replace(perspective=first)
+    )
     np.testing.assert_array_equal(after.perspective, first)
     affine = after.affine
-    _, _, after, _ = after.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=second))
+    _, _, after, _ = after.align_left(
+        spline(FIRST), GRID, grown(GRID, 1.0)._replace(perspective=second)
+    )
     expected = first + np.einsum("nji,nj->ni", affine, second)
     np.testing.assert_allclose(after.perspective, expected, rtol=1e-12)
 
 
 def test_a_slant_too_large_to_be_true_is_not_used(patches: AnchorPatches) -> None:
     absurd = grown(GRID, 1.0)._replace(perspective=np.full((len(GRID), 2), 1.0))
-    plain = patches.align_left(FIRST, GRID + 0.2, grown(GRID, 1.0))
-    np.testing.assert_array_equal(patches.align_left(FIRST, GRID + 0.2, absurd)[0], plain[0])
+    plain = patches.align_left(spline(FIRST), GRID + 0.2, grown(GRID, 1.0))
+    np.testing.assert_array_equal(
+        patches.align_left(spline(FIRST), GRID + 0.2, absurd)[0], plain[0]
+    )
 
 
 def test_the_right_image_shows_the_left_one_slanted(patches: AnchorPatches) -> None:
@@ -197,21 +213,21 @@ def test_the_right_image_shows_the_left_one_slanted(patches: AnchorPatches) -> N
     A = np.array([[1.0, -0.1], [0.0, 1.0]])
     shift = np.array([-9.0, 0.0])
     true = moved(GRID, A, shift)
-    found, _, after, _ = patches.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    found, _, after, _ = patches.align_right(spline(shown(A, shift)), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(after.right_from_left - A)) < 0.02
-    again, _, _, _ = after.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    again, _, _, _ = after.align_right(spline(shown(A, shift)), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(again - true)) <= np.median(np.abs(found - true)) + 1e-3
 
 
 def test_features_whose_alignment_fails_stay(patches: AnchorPatches) -> None:
     """Another texture: nothing converges nearby, and the difference says so."""
     other = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
-    found, difference, _, _ = patches.align_left(other, GRID, grown(GRID, 1.0))
+    found, difference, _, _ = patches.align_left(spline(other), GRID, grown(GRID, 1.0))
     stayed = (found == GRID).all(axis=1)
     assert stayed.mean() > 0.8
     np.testing.assert_array_equal(np.isinf(difference), stayed)
-    right, _, unchanged, _ = patches.align_right(other, GRID)
+    right, _, unchanged, _ = patches.align_right(spline(other), GRID)
     there = (right == GRID).all(axis=1)
     np.testing.assert_array_equal(unchanged.right_from_left[there], patches.right_from_left[there])
 
@@ -220,23 +236,23 @@ def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None
     A = 1.2 * MAX_GROWTH * np.eye(2)
     true = moved(GRID, A, np.zeros(2))
     inside = ((true > 12) & (true < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
-    patches = AnchorPatches.cut(FIRST, GRID[inside], SIDE)
+    patches = AnchorPatches.cut(spline(FIRST), GRID[inside], SIDE)
     patches = replace(patches, affine=1.2 * patches.affine)
     _, _, after, _ = patches.align_left(
-        shown(A, np.zeros(2)), true[inside], grown(true[inside], MAX_GROWTH)
+        spline(shown(A, np.zeros(2))), true[inside], grown(true[inside], MAX_GROWTH)
     )
     np.testing.assert_array_equal(after.affine, np.broadcast_to(np.eye(2), after.affine.shape))
 
 
 def test_features_at_the_border_and_without_texture_stay() -> None:
     at_border = np.array([[1.0, 80.0], [238.5, 3.0], [120.0, 159.0]])
-    found, _, _, _ = AnchorPatches.cut(FIRST, at_border, SIDE).align_left(
-        FIRST, at_border, grown(at_border, 1.0)
+    found, _, _, _ = AnchorPatches.cut(spline(FIRST), at_border, SIDE).align_left(
+        spline(FIRST), at_border, grown(at_border, 1.0)
     )
     np.testing.assert_array_equal(found, at_border)
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    found, _, after, _ = AnchorPatches.cut(grey, GRID, SIDE).align_left(
-        grey, GRID, grown(GRID, 1.0)
+    found, _, after, _ = AnchorPatches.cut(spline(grey), GRID, SIDE).align_left(
+        spline(grey), GRID, grown(GRID, 1.0)
     )
     np.testing.assert_array_equal(found, GRID)
     assert np.isfinite(after.affine).all()
@@ -251,10 +267,12 @@ def test_patches_are_selected_and_joined(patches: AnchorPatches) -> None:
 
 
 def test_no_features() -> None:
-    nothing = AnchorPatches.cut(FIRST, np.zeros((0, 2)), SIDE)
-    found, _, after, _ = nothing.align_left(FIRST, np.zeros((0, 2)), grown(np.zeros((0, 2)), 1.0))
+    nothing = AnchorPatches.cut(spline(FIRST), np.zeros((0, 2)), SIDE)
+    found, _, after, _ = nothing.align_left(
+        spline(FIRST), np.zeros((0, 2)), grown(np.zeros((0, 2)), 1.0)
+    )
     assert found.shape == (0, 2)
-    assert len(after.align_right(FIRST, found)[2]) == 0
+    assert len(after.align_right(spline(FIRST), found)[2]) == 0
 
 
 def noisy(image: Image, sigma: float, rng: np.random.Generator) -> Image:
@@ -291,13 +309,28 @@ def variance_in_single_precision(
     )
 
 
-def test_places_scatter_as_their_covariance_says(patches: AnchorPatches) -> None:
+@pytest.mark.parametrize("shift_px", [0.2, 0.5, 0.8])
+def test_a_fraction_of_a_pixel_is_found_without_bias(shift_px: float) -> None:
+    """With bilinear interpolation, such texture is found 0.03 px too far at 0.2 px, as much too
+    near at 0.8 px, and scatters by 0.01 px."""
+    true = GRID + np.array([shift_px, 0.0])
+    patches = AnchorPatches.cut(spline(fine(0.0)), GRID, SIDE)
+    found, difference, _, _ = patches.align_left(spline(fine(shift_px)), true, grown(GRID, 1.0))
+    error = (found - true)[np.isfinite(difference)]
+    assert len(error) > 40
+    assert np.abs(error.mean(axis=0)).max() < 0.008
+    assert error.std(axis=0).max() < 0.004
+
+
+def test_places_scatter_as_their_covariance_says() -> None:
     """Monte Carlo, white noise: the mean NEES of 45 features and 40 images is 2."""
     rng = np.random.default_rng(4)
+    image = fine(0.0)
+    patches = AnchorPatches.cut(spline(image), GRID, SIDE)
     squared = []
     for _ in range(40):
         found, difference, _, cov_px2 = patches.align_left(
-            noisy(FIRST, 4.0, rng), GRID, grown(GRID, 1.0)
+            spline(noisy(image, 4.0, rng)), GRID, grown(GRID, 1.0)
         )
         fits = np.isfinite(difference)
         assert fits.mean() > 0.9
@@ -308,9 +341,9 @@ def test_places_scatter_as_their_covariance_says(patches: AnchorPatches) -> None
 
 def test_the_covariance_does_not_depend_on_the_exposure(patches: AnchorPatches) -> None:
     image = noisy(FIRST, 6.0, np.random.default_rng(5))
-    *_, as_it_is = patches.align_left(image, GRID, grown(GRID, 1.0))
+    *_, as_it_is = patches.align_left(spline(image), GRID, grown(GRID, 1.0))
     darker = np.round(0.7 * image.astype(float) + 10.0).astype(np.uint8)
-    *_, exposed = patches.align_left(darker, GRID, grown(GRID, 1.0))
+    *_, exposed = patches.align_left(spline(darker), GRID, grown(GRID, 1.0))
     both = np.isfinite(as_it_is).all(axis=(1, 2)) & np.isfinite(exposed).all(axis=(1, 2))
     assert both.mean() > 0.9
     np.testing.assert_allclose(exposed[both], as_it_is[both], rtol=0.15, atol=1e-4)
@@ -325,9 +358,9 @@ def test_along_an_edge_the_place_is_uncertain(angle_deg: float) -> None:
     # Some texture along the edge, without which there would be no information at all
     grey = 128.0 + 60.0 * np.tanh(0.8 * distance) + 0.25 * (texture(np.dstack([u, v])) - 128.0)
     edge = np.clip(np.round(grey), 0, 255).astype(np.uint8)
-    patch = AnchorPatches.cut(edge, MIDDLE[None], SIDE)
+    patch = AnchorPatches.cut(spline(edge), MIDDLE[None], SIDE)
     image = noisy(edge, 3.0, np.random.default_rng(6))
-    *_, cov_px2 = patch.align_left(image, MIDDLE[None], grown(MIDDLE[None], 1.0))
+    *_, cov_px2 = patch.align_left(spline(image), MIDDLE[None], grown(MIDDLE[None], 1.0))
     variance, axes = np.linalg.eigh(cov_px2[0])
     assert variance[1] > 9.0 * variance[0]
     assert abs(axes[:, 1] @ along) > np.cos(np.deg2rad(15.0))
@@ -335,7 +368,7 @@ def test_along_an_edge_the_place_is_uncertain(angle_deg: float) -> None:
 
 def test_what_fails_has_no_covariance(patches: AnchorPatches) -> None:
     other = np.random.default_rng(2).integers(0, 255, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
-    _, difference, _, cov_px2 = patches.align_left(other, GRID, grown(GRID, 1.0))
+    _, difference, _, cov_px2 = patches.align_left(spline(other), GRID, grown(GRID, 1.0))
     failed = np.isinf(difference)
     assert failed.any()
     assert np.isnan(cov_px2[failed]).all()

@@ -19,6 +19,10 @@ class PreparedImages:
     """Left image minus its local mean, and the pyramid levels above it."""
     right: Pyramid
     """Right image in the same form."""
+    left_spline: FloatArray
+    """Coefficients of the spline of the left image minus its local mean, [height, width]."""
+    right_spline: FloatArray
+    """The same of the right image."""
     corners: FloatArray
     """The strongest corners of each cell of the left image, as from ``strongest_corners``."""
     left_usable: BoolArray | None

@@ -4,7 +4,8 @@ A window that is tracked from one frame to the next drifts where it approaches, 
 slanted, since its edges do not move as its centre does; and the drift accumulates along a track. An
 alignment with the anchor patch, the window of the first observation, does not drift. Its map is a
 plane's: affine, as found in the image, under the perspective that the motion and the slope of the
-disparity predict (``surface_motion``).
+disparity predict (``surface_motion``). Images are given by the coefficients of their splines
+(``spline``).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
     Anchors,
     PatchAlignment,
@@ -65,11 +66,11 @@ class AnchorPatches:
     """Affine map of the last left image to the last right image, about the feature, [N, 2, 2]."""
 
     @staticmethod
-    def cut(left: Image, pixels: FloatArray, side: int) -> AnchorPatches:
+    def cut(left: FloatArray, pixels: FloatArray, side: int) -> AnchorPatches:
         """Cut patches out of a left image.
 
         Args:
-            left: the image, [height, width], uint8.
+            left: coefficients of the image's spline, [height, width].
             pixels: features (u, v), [N, 2], px.
             side: of the patches, without their margin, px; odd.
         """
@@ -111,13 +112,15 @@ class AnchorPatches:
         """Append the patches of M other features, [N + M]."""
         return concatenated([self, others])
 
-    def align_left(self, left: Image, pixels: FloatArray, motion: SurfaceMotion) -> AlignedPatches:
+    def align_left(
+        self, left: FloatArray, pixels: FloatArray, motion: SurfaceMotion
+    ) -> AlignedPatches:
         """Align the patches with the next left image.
 
         Where the patch has grown or shrunk too much, a new anchor patch is cut out of this image.
 
         Args:
-            left: the image, [height, width], uint8.
+            left: coefficients of the image's spline, [height, width].
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
@@ -149,14 +152,14 @@ class AnchorPatches:
         )
         return AlignedPatches(aligned.pixels, aligned.difference, patches, aligned.cov_px2)
 
-    def align_right(self, right: Image, pixels: FloatArray) -> AlignedPatches:
+    def align_right(self, right: FloatArray, pixels: FloatArray) -> AlignedPatches:
         """Align the patches with the right image of the frame whose left image came last.
 
         Where the alignment fails, the feature stays at its predicted place, and its map between
         left and right image as it was.
 
         Args:
-            right: the image, [height, width], uint8.
+            right: coefficients of the image's spline, [height, width].
             pixels: predicted features (u, v), [N, 2], px.
         """
         # The map to the right image is that to the left one, then from left to right, which hardly
@@ -172,7 +175,7 @@ class AnchorPatches:
 
     def _align(
         self,
-        image: Image,
+        coefficients: FloatArray,
         pixels: FloatArray,
         predicted_affine: FloatArray,
         perspective: FloatArray,
@@ -191,5 +194,5 @@ class AnchorPatches:
             difference=np.empty(len(self)),
             cov_px2=np.empty((len(self), 2, 2)),
         )
-        align_patches(image, anchors, sigma, alignment)
+        align_patches(coefficients, anchors, sigma, alignment)
         return alignment

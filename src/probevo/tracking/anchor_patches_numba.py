@@ -4,8 +4,9 @@ The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker
 "Lucas–Kanade 20 years on: a unifying framework", IJCV 2004), under a perspective that is given. The
 image may be brighter than the patch and have more contrast: gain and offset are projected out
 (Baker, Gross, Matthews, "Lucas–Kanade 20 years on: part 3", CMU-RI-TR-03-35, 2003). The pixels of a
-patch are held in one row. Indices are unsigned where speed matters: for signed ones, Numba handles
-negative values.
+patch are held in one row. Patches and images are compared as cubic B-splines (``spline``), of which
+the images are the coefficients. Indices are unsigned where speed matters: for signed ones, Numba
+handles negative values.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.compiled import (
     compiled,
     copy_into,
@@ -46,6 +47,7 @@ MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
 """Parameters that are adjusted to the pixels of a patch: affine map, gain and offset."""
+WHITE = 255
 MAX_FORESHORTENING = 0.5
 """If the scale of a slanted surface changes by more than this from the centre of its patch to the
 border, the surface is treated as if it faced the camera."""
@@ -106,27 +108,36 @@ class WarpedPixels(NamedTuple):
 
 
 @compiled
-def cut_patches(image: Image, center: IntArray, patches: AnyArray) -> None:
+def cut_patches(coefficients: FloatArray, center: IntArray, patches: AnyArray) -> None:
     """Copy the image around center[n] = (u, v) into patches[n], [N, side, side].
 
     Beyond the border of the image its last pixels are repeated.
+
+    Args:
+        coefficients: of the image's spline, [height, width], float32.
+        center: whole pixels, [N, 2].
+        patches: receives the spline at whole pixels, in whole grey levels, uint8.
     """
-    height, width = image.shape
+    height, width = coefficients.shape
     side = patches.shape[1]
     reach = side // 2
     for n in range(len(center)):
         left = center[n, 0] - reach
         top = center[n, 1] - reach
-        if left >= 0 and top >= 0 and left + side <= width and top + side <= height:
-            # Inside of the image, where nearly all patches are, no index needs clamping.
-            for i in range(side):
-                for j in range(side):
-                    patches[n, i, j] = image[top + i, left + j]
-            continue
         for i in range(side):
-            row = min(max(top + i, 0), height - 1)
+            v = min(max(top + i, 0), height - 1)
+            above = coefficients[max(v - 1, 0)]
+            at = coefficients[v]
+            below = coefficients[min(v + 1, height - 1)]
             for j in range(side):
-                patches[n, i, j] = image[row, min(max(left + j, 0), width - 1)]
+                u = min(max(left + j, 0), width - 1)
+                before = max(u - 1, 0)
+                after = min(u + 1, width - 1)
+                # (1, 4, 1) / 6 along the rows, and then across them
+                total = above[before] + 4.0 * above[u] + above[after]
+                total += 4.0 * (at[before] + 4.0 * at[u] + at[after])
+                total += below[before] + 4.0 * below[u] + below[after]
+                patches[n, i, j] = min(max(round(total / 36.0), 0), WHITE)
 
 
 @compiled
@@ -175,7 +186,9 @@ def divide_maps(
 
 
 @compiled
-def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: PatchAlignment) -> None:
+def align_patches(
+    coefficients: FloatArray, anchors: Anchors, sigma: float, alignment: PatchAlignment
+) -> None:
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
     A map takes x, px from the feature, to y = p + A x / (1 + g·x). Each step finds the small map W,
@@ -184,14 +197,14 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
     with the best gain and offset of the patch, plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
     Args:
-        image: [height, width], uint8.
+        coefficients: of the image's spline, [height, width], float32.
         anchors: patches of N features with their predicted maps Â.
         sigma: standard deviation of the entries of Â⁻¹ A.
         alignment: in: predicted places; out: places, maps and differences.
     """
     pixels = alignment.pixels
     affine = alignment.affine
-    flat_image = image.ravel()
+    flat_coefficients = coefficients.ravel()
     area = (anchors.patch.shape[1] - 2) * (anchors.patch.shape[2] - 2)
     # Work space, filled anew for each patch.
     template = Template(
@@ -235,11 +248,13 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
         for iteration in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
             if not near or not _warp(
-                (u, v), A, template.foreshortened, reach_px, shape=image.shape, warped=warped
+                (u, v), A, template.foreshortened, reach_px, shape=coefficients.shape, warped=warped
             ):
                 break
             # Solve the normal equations for the step (t, S)
-            _subtract(flat_image, image.shape[1], warped, template.brightness, error=error)
+            _subtract(
+                flat_coefficients, coefficients.shape[1], warped, template.brightness, error=error
+            )
             multiply_float32(template.steepest_descent, error, gradient)
             _add_prior(prior, A, predicted, gradient=gradient)
             substitute(lower, gradient, step)
@@ -403,7 +418,8 @@ def _fill_covariance(
     With brightness of a variance that is independent from pixel to pixel, the parameters (t, S) of
     a small map have the covariance variance · H⁻¹, of which t is the first block, and p moves by
     A t (Nickels, Hutchinson, "Estimating uncertainty in SSD-based feature tracking", Image and
-    Vision Computing 2002).
+    Vision Computing 2002). The spline takes half of such noise away, and around corners about half
+    of what it does to the place; in coarser texture, whose place it leaves, less is claimed.
 
     Args:
         lower: Cholesky factor of H, the information about (t, S) for a variance of 1, [6, 6].
@@ -488,10 +504,11 @@ def _warp(
     height, width = shape
     corner = warped.corner
     fraction = warped.fraction
-    # If the whole patch is inside, the loop below needs no check for each pixel.
+    # If the whole patch is inside, the loop below needs no check for each pixel. The spline needs
+    # one more pixel on each side.
     x, y = reach_px
-    reach_u = abs(A[0, 0]) * x + abs(A[0, 1]) * y
-    reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y
+    reach_u = abs(A[0, 0]) * x + abs(A[0, 1]) * y + 1.0
+    reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y + 1.0
     if not (u >= reach_u and v >= reach_v and u + reach_u < width - 1 and v + reach_v < height - 1):
         return False
     # Relative to a whole pixel nearby, single precision is enough. All coordinates are positive
@@ -518,23 +535,56 @@ def _warp(
 
 @compiled
 def _subtract(
-    flat_image: Image, width: int, warped: WarpedPixels, brightness: FloatArray, error: FloatArray
+    flat_coefficients: FloatArray,
+    width: int,
+    warped: WarpedPixels,
+    brightness: FloatArray,
+    error: FloatArray,
 ) -> None:
-    """Set the error to the image, interpolated bilinearly, less the patch's brightness, [area]."""
+    """Set the error to the image's spline less the patch's brightness, [area].
+
+    Args:
+        flat_coefficients: of the image's spline, [height · width], float32.
+        width: of the image, px.
+        warped: where the pixels of the patch are in the image.
+        brightness: of the patch, [area].
+        error: out.
+    """
     corner = warped.corner
     fraction = warped.fraction
-    one = np.uintp(1)
-    below = np.uintp(width)
     for i in range(len(corner)):
-        k = np.uintp(corner[i])
-        upper = np.float32(flat_image[k])
-        upper_right = np.float32(flat_image[k + one])
-        lower = np.float32(flat_image[k + below])
-        lower_right = np.float32(flat_image[k + below + one])
-        # Along both rows first, then from the upper one to the lower one.
-        upper += fraction[0, i] * (upper_right - upper)
-        lower += fraction[0, i] * (lower_right - lower)
-        error[i] = upper + fraction[1, i] * (lower - upper) - brightness[i]
+        along = _spline_weights(fraction[0, i])
+        down = _spline_weights(fraction[1, i])
+        # Four by four coefficients, from one pixel to the upper left of the corner on.
+        total = -brightness[i]
+        k = np.uintp(corner[i]) - np.uintp(width) - np.uintp(1)
+        for row in range(4):
+            total += down[row] * (
+                along[0] * flat_coefficients[k]
+                + along[1] * flat_coefficients[k + np.uintp(1)]
+                + along[2] * flat_coefficients[k + np.uintp(2)]
+                + along[3] * flat_coefficients[k + np.uintp(3)]
+            )
+            k += np.uintp(width)
+        error[i] = total
+
+
+@compiled
+def _spline_weights(
+    fraction: np.float32,
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return the weights of a cubic B-spline's four nearest coefficients.
+
+    Args:
+        fraction: offset from the second of them, 0 to 1.
+    """
+    one = np.float32(1.0)
+    sixth = np.float32(1.0 / 6.0)
+    rest = one - fraction
+    first = sixth * rest * rest * rest
+    last = sixth * fraction * fraction * fraction
+    second = np.float32(2.0 / 3.0) - fraction * fraction * (one - np.float32(0.5) * fraction)
+    return first, second, one - first - second - last, last
 
 
 @compiled

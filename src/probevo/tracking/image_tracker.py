@@ -103,7 +103,7 @@ class ImageTracker:
             images.corners, found.left_px, image.shape, config=self._config
         )
         corner_disparity = _disparity_of_nearest(corners, found.left_px, found.disparity_px)
-        corner_patches = AnchorPatches.cut(image, corners, self._config.window_px)
+        corner_patches = AnchorPatches.cut(images.left_spline, corners, self._config.window_px)
         # Old and new features in the right image.
         left_px = np.vstack([found.left_px, corners])
         in_stereo = self._find_in_stereo(
@@ -156,7 +156,9 @@ class ImageTracker:
         image = left[0]
         patches = prev.patches
         if patches is None:
-            patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
+            patches = AnchorPatches.cut(
+                images.left_spline, np.zeros((0, 2)), self._config.window_px
+            )
         # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
         # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
@@ -185,7 +187,7 @@ class ImageTracker:
         # Align with the anchor patch, the image of the feature when it was first seen, which
         # removes the drift. If that fails, the window no longer shows the same point of the scene.
         aligned = patches.subset(alive).align_left(
-            image, tracked.pixels[alike], motion.subset(alive)
+            images.left_spline, tracked.pixels[alike], motion.subset(alive)
         )
         fits = np.isfinite(aligned.difference)
         rejected[NO_FIT] += int((~fits).sum())
@@ -256,7 +258,7 @@ class ImageTracker:
         alike = _look_alike(tracked.difference, consistent, self._config)
         rejected["no stereo match"] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
-        aligned = patches.subset(alike).align_right(right[0], tracked.pixels[alike])
+        aligned = patches.subset(alike).align_right(images.right_spline, tracked.pixels[alike])
         same_row, has_disparity = self._is_consistent(left_px[alike], aligned.pixels)
         fits = np.isfinite(aligned.difference) & same_row & has_disparity
         rejected[NO_FIT] += int((~fits).sum())
