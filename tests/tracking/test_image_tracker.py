@@ -285,6 +285,21 @@ def test_new_corners_are_found_at_any_disparity(disparity_px: int) -> None:
     np.testing.assert_allclose(found_px, disparity_px, atol=0.1)
 
 
+def test_new_corners_are_found_in_noisy_images() -> None:
+    """Noise of 30 grey levels makes windows alike all along a row, but less so in images of half
+    the size."""
+    rng = np.random.default_rng(1)
+    (wall,) = near_wall(disparity_px=10, frames=1)
+    noisy = replace(wall, left=_noisy(wall.left, rng), right=_noisy(wall.right, rng))
+    (tracked,) = track_all([noisy], np.eye(4))
+    assert tracked.tracks.rejected["repeats along its row"] < 0.2 * len(tracked.state)
+
+
+def _noisy(image: Image | None, rng: np.random.Generator) -> Image:
+    assert image is not None
+    return np.clip(image + 30.0 * rng.normal(size=image.shape), 0, 255).astype(np.uint8)
+
+
 def test_a_near_wall_that_is_swapped_looks_so() -> None:
     swapped = [
         replace(frame, left=frame.right, right=frame.left) for frame in near_wall(disparity_px=70)

@@ -23,9 +23,18 @@ def unique(left: Image, places: FloatArray, *, sigma: float = 4.0) -> BoolArray:
     rng = np.random.default_rng(1)
     right = np.roll(left, -int(DISPARITY_PX), axis=1) + sigma * rng.normal(size=left.shape)
     right_px = places - [DISPARITY_PX, 0.0]
-    return find_unique(
-        left, np.clip(right, 0, 255).astype(np.uint8), places, right_px, window_px=WINDOW_PX
-    )
+    return compared(left, np.clip(right, 0, 255).astype(np.uint8), places, right_px)
+
+
+def compared(
+    left: Image,
+    right: Image,
+    left_px: FloatArray,
+    right_px: FloatArray,
+    *,
+    outside: bool = True,
+) -> BoolArray:
+    return find_unique(left, right, left_px, right_px, window_px=WINDOW_PX, outside=outside)
 
 
 def places_inside(rng: np.random.Generator) -> FloatArray:
@@ -54,7 +63,7 @@ def test_an_exact_match_without_a_second_place_is_unique() -> None:
     """As in an image that is hardly wider than its window."""
     left = texture(np.random.default_rng(0))[:, : WINDOW_PX + 4]
     places = np.array([[7.0, 50.0]])
-    assert find_unique(left, left, places, places, window_px=WINDOW_PX).all()
+    assert compared(left, left, places, places).all()
 
 
 def test_a_period_beyond_reach_does_not_matter() -> None:
@@ -68,14 +77,15 @@ def test_a_wrong_match_is_not_unique() -> None:
     rng = np.random.default_rng(0)
     left = texture(rng)
     places = places_inside(rng)
-    assert not find_unique(left, left, places, places - [7.0, 0.0], window_px=WINDOW_PX).any()
+    assert not compared(left, left, places, places - [7.0, 0.0]).any()
 
 
-def test_windows_across_the_border_are_taken_for_unique() -> None:
+@pytest.mark.parametrize("outside", [True, False])
+def test_windows_across_the_border_are_what_is_asked_for(outside: bool) -> None:
     left = texture(np.random.default_rng(0), period_px=8)
     places = np.array([[2.0, 50.0], [150.0, 1.0], [298.0, 50.0], [150.0, 98.0]])
-    assert find_unique(left, left, places, places, window_px=WINDOW_PX).all()
-    assert find_unique(left, left, places[:0], places[:0], window_px=WINDOW_PX).shape == (0,)
+    assert (compared(left, left, places, places, outside=outside) == outside).all()
+    assert compared(left, left, places[:0], places[:0]).shape == (0,)
 
 
 @pytest.mark.parametrize("disparity_px", [-45, 0, 7, 58])

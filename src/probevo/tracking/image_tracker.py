@@ -265,13 +265,7 @@ class ImageTracker:
         # A new feature must not repeat along its row: nothing but its neighbours tells which of
         # the places is the true one. An old one was found there before.
         is_new = fits & ~is_predicted[alike]
-        unique = find_unique(
-            left[0],
-            right[0],
-            left_px[alike][is_new],
-            aligned.pixels[is_new],
-            window_px=self._config.window_px,
-        )
+        unique = self._is_unique(images, left_px[alike][is_new], aligned.pixels[is_new])
         rejected["repeats along its row"] += int((~unique).sum())
         fits[is_new] = unique
         # ``fits`` is over the points that look alike; scatter it over all N.
@@ -284,6 +278,28 @@ class ImageTracker:
             difference=aligned.difference[fits],
             cov_px2=aligned.cov_px2[fits],
         )
+
+    def _is_unique(
+        self, images: PreparedImages, left_px: FloatArray, right_px: FloatArray
+    ) -> BoolArray:
+        """Return which of N stereo matches fit clearly better than other places in their row, [N].
+
+        Noise makes all places of a row alike. In images of half the size it is half as large, and a
+        window shows four times the area. Those that repeat there, too, are not unique.
+        """
+        unique = np.zeros(len(left_px), np.bool_)
+        for level in range(min(2, len(images.left))):
+            repeats = np.flatnonzero(~unique)
+            scale = 0.5**level
+            unique[repeats] = find_unique(
+                images.left[level],
+                images.right[level],
+                scale * left_px[repeats],
+                scale * right_px[repeats],
+                window_px=self._config.window_px,
+                outside=level == 0,  # half the size has no say where its windows do not fit
+            )
+        return unique
 
     def _with_row_search(
         self,

@@ -25,11 +25,14 @@ BEST_WITHIN_PX = 2
 
 @compiled
 def find_unique(
-    left: Image, right: Image, left_px: FloatArray, right_px: FloatArray, window_px: int
+    left: Image,
+    right: Image,
+    left_px: FloatArray,
+    right_px: FloatArray,
+    window_px: int,
+    outside: bool,
 ) -> BoolArray:
     """Return which of N stereo matches fit clearly better than any other place in their row, [N].
-
-    A match whose window or row is not inside of both images is taken for unique.
 
     Args:
         left: left image, [height, width], uint8.
@@ -37,11 +40,12 @@ def find_unique(
         left_px: (u, v) in the left image, [N, 2], px.
         right_px: (u, v) in the right image, [N, 2], px.
         window_px: side of the window that is compared; odd.
+        outside: what is returned for a match whose window or row is not inside of both images.
     """
     height, width = left.shape
     half = window_px // 2
     squared = np.empty(2 * REACH_PX + 1, np.int32)
-    unique = np.ones(len(left_px), np.bool_)
+    unique = np.empty(len(left_px), np.bool_)
     for n in range(len(left_px)):
         u = round(left_px[n, 0])
         v = round(left_px[n, 1])
@@ -52,6 +56,7 @@ def find_unique(
         first = max(u_right - REACH_PX, half)
         last = min(u_right + REACH_PX, width - 1 - half)
         if not rows_inside or u < half or u + half >= width or first > u_right or last < u_right:
+            unique[n] = outside
             continue
         count = last - first + 1
         window = left[v - half : v + half + 1, u - half : u + half + 1]
