@@ -98,6 +98,13 @@ FIGURES = (
         minutes=15,
     ),
     Figure(
+        "subpixel",
+        ("docs/accuracy.md",),
+        "python benchmarks/subpixel.py",
+        minutes=1,
+        needs_data=True,
+    ),
+    Figure(
         "plain-odometry",
         ("docs/accuracy.md",),
         "python benchmarks/plain_odometry.py",
@@ -261,6 +268,7 @@ FIGURES = (
         "python benchmarks/probe.py point city residential road rover",
         minutes=60,
     ),
+    Figure("probe-streets", ("docs/probe.md",), "python benchmarks/probe_streets.py", minutes=5),
     Figure(
         "probe-images",
         ("docs/probe.md",),

@@ -47,7 +47,8 @@ MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
 """Parameters that are adjusted to the pixels of a patch: affine map, gain and offset."""
-WHITE = 255
+WHITE = np.float32(255.0)
+"""The largest grey level."""
 MAX_FORESHORTENING = 0.5
 """If the scale of a slanted surface changes by more than this from the centre of its patch to the
 border, the surface is treated as if it faced the camera."""
@@ -121,6 +122,9 @@ def cut_patches(coefficients: FloatArray, center: IntArray, patches: AnyArray) -
     height, width = coefficients.shape
     side = patches.shape[1]
     reach = side // 2
+    four = np.float32(4.0)
+    to_mean = np.float32(1.0 / 36.0)
+    half = np.float32(0.5)  # truncation then rounds
     for n in range(len(center)):
         left = center[n, 0] - reach
         top = center[n, 1] - reach
@@ -134,10 +138,11 @@ def cut_patches(coefficients: FloatArray, center: IntArray, patches: AnyArray) -
                 before = max(u - 1, 0)
                 after = min(u + 1, width - 1)
                 # (1, 4, 1) / 6 along the rows, and then across them
-                total = above[before] + 4.0 * above[u] + above[after]
-                total += 4.0 * (at[before] + 4.0 * at[u] + at[after])
-                total += below[before] + 4.0 * below[u] + below[after]
-                patches[n, i, j] = min(max(round(total / 36.0), 0), WHITE)
+                total = above[before] + four * above[u] + above[after]
+                total += four * (at[before] + four * at[u] + at[after])
+                total += below[before] + four * below[u] + below[after]
+                grey = total * to_mean + half
+                patches[n, i, j] = np.uint8(min(max(grey, np.float32(0.0)), WHITE))
 
 
 @compiled
