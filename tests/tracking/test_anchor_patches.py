@@ -322,19 +322,19 @@ def test_a_fraction_of_a_pixel_is_found_without_bias(shift_px: float) -> None:
     assert error.std(axis=0).max() < 0.004
 
 
-def test_places_scatter_as_their_covariance_says() -> None:
+def test_places_scatter_as_their_covariance_says(patches: AnchorPatches) -> None:
     """Monte Carlo, white noise: the mean NEES of 45 features and 40 images is 2."""
     rng = np.random.default_rng(4)
-    image = fine(0.0)
-    patches = AnchorPatches.cut(spline(image), GRID, SIDE)
+    shift = np.array([0.3, 0.2])
+    image = shown(np.eye(2), shift)
     squared = []
     for _ in range(40):
         found, difference, _, cov_px2 = patches.align_left(
-            spline(noisy(image, 4.0, rng)), GRID, grown(GRID, 1.0)
+            spline(noisy(image, 4.0, rng)), GRID + shift, grown(GRID, 1.0)
         )
         fits = np.isfinite(difference)
         assert fits.mean() > 0.9
-        error = (found - GRID)[fits]
+        error = (found - GRID - shift)[fits]
         squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov_px2[fits]), error))
     assert 1.7 < np.concatenate(squared).mean() < 2.3
 

@@ -423,8 +423,7 @@ def _fill_covariance(
     With brightness of a variance that is independent from pixel to pixel, the parameters (t, S) of
     a small map have the covariance variance · H⁻¹, of which t is the first block, and p moves by
     A t (Nickels, Hutchinson, "Estimating uncertainty in SSD-based feature tracking", Image and
-    Vision Computing 2002). The spline takes half of such noise away, and around corners about half
-    of what it does to the place; in coarser texture, whose place it leaves, less is claimed.
+    Vision Computing 2002). Between pixels the spline takes a part of such noise away.
 
     Args:
         lower: Cholesky factor of H, the information about (t, S) for a variance of 1, [6, 6].

@@ -5,23 +5,26 @@ Bilinear interpolation moves fine texture. Of a wave of 4 px, what is 0.2 px fro
 same fraction of a pixel err alike. That is what a camera near rest shows, and disparities of like
 fractions. A cubic B-spline moves the same wave by a seventh of that.
 
-A B-spline blurs: at whole pixels it is the mean of the coefficients with the weights (1, 4, 1) / 6.
-Coefficients whose spline goes through all pixels need a recursive filter over the image (Unser,
-"Splines: a perfect fit for signal and image processing", IEEE Signal Processing Magazine 1999).
-Three taps undo most of it. The blur that is left is common to a patch and to the image that it is
-aligned with, since both are taken from splines.
+The coefficients are those whose spline goes through all pixels. The filter that gives them is
+recursive (Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing
+Magazine 1999), but its response falls by z = √3 − 2 from pixel to pixel, so that a few taps do. The
+pixels themselves as coefficients would blur the image by (1, 4, 1) / 6, in pixels of each image: a
+patch that has grown since it was cut would be compared with one that is blurred less.
 """
 
 from __future__ import annotations
+
+import math
 
 import cv2
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
 
-SHARPEN = np.array([-1.0, 8.0, -1.0]) / 6.0
-"""Inverse of (1, 4, 1) / 6 up to the second order: waves of 4 px keep 0.89 of their contrast, those
-of 8 px 0.99."""
+REACH_PX = 4
+"""From here on, taps would be below 0.003."""
+RESPONSE = (math.sqrt(3.0) - 2.0) ** np.abs(np.arange(-REACH_PX, REACH_PX + 1))
+TAPS = (RESPONSE / RESPONSE.sum()).astype(np.float32)
 
 
 def spline_coefficients(image: Image) -> FloatArray:
@@ -33,4 +36,4 @@ def spline_coefficients(image: Image) -> FloatArray:
     Returns:
         [height, width], float32, grey levels.
     """
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, SHARPEN, SHARPEN))
+    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, TAPS, TAPS))
