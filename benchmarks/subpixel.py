@@ -20,7 +20,7 @@ from probevo.config import TrackingConfig
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.detection import strongest_corners
 from probevo.tracking.preparation import high_pass
-from probevo.tracking.spline import spline_coefficients
+from probevo.tracking.spline import spline_through
 from probevo.tracking.surface_motion import SurfaceMotion
 
 REDUCTION = 4
@@ -47,7 +47,7 @@ def errors_px(image: Image, shift: int, rng: np.random.Generator) -> FloatArray:
     corners = corners[np.isfinite(corners).all(axis=1)]
     count = len(corners)
     true = corners + np.array([shift / REDUCTION, 0.0])
-    patches = AnchorPatches.cut(spline_coefficients(first), corners, CONFIG.window_px)
+    patches = AnchorPatches.cut(first, corners, CONFIG.window_px)
     still = SurfaceMotion(
         pixels=true,
         growth=np.ones(count),
@@ -55,7 +55,7 @@ def errors_px(image: Image, shift: int, rng: np.random.Generator) -> FloatArray:
         affine=np.tile(np.eye(2), (count, 1, 1)),
         perspective=np.zeros((count, 2)),
     )
-    aligned = patches.align_left(spline_coefficients(second), true, still)
+    aligned = patches.align_left(spline_through(second), true, still)
     found: FloatArray = (aligned.pixels - true)[np.isfinite(aligned.difference)]
     return found
 

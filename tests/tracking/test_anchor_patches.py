@@ -8,7 +8,7 @@ import pytest
 from probevo.arrays import FloatArray, Image
 from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
 from probevo.tracking.anchor_patches_numba import brightness_variance, step_scale
-from probevo.tracking.spline import spline_coefficients as spline
+from probevo.tracking.spline import spline_through as spline
 from probevo.tracking.surface_motion import SurfaceMotion
 
 HEIGHT_PX = 160
@@ -68,7 +68,7 @@ FIRST = shown(np.eye(2), np.zeros(2))
 
 @pytest.fixture
 def patches() -> AnchorPatches:
-    return AnchorPatches.cut(spline(FIRST), GRID, SIDE)
+    return AnchorPatches.cut(FIRST, GRID, SIDE)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_the_subpixel_offset_of_the_anchor_is_kept() -> None:
     """A feature between pixels is that point of its patch, whatever the map."""
     features = GRID + np.array([0.37, -0.21])
     A = 1.15 * np.eye(2)
-    patches = AnchorPatches.cut(spline(FIRST), features, SIDE)
+    patches = AnchorPatches.cut(FIRST, features, SIDE)
     true = moved(features, A, np.zeros(2))
     found, _, _, _ = patches.align_left(spline(shown(A, np.zeros(2))), true + 0.3, grown(GRID, 1.1))
     assert np.median(np.abs(found - true)) < 0.03
@@ -236,7 +236,7 @@ def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None
     A = 1.2 * MAX_GROWTH * np.eye(2)
     true = moved(GRID, A, np.zeros(2))
     inside = ((true > 12) & (true < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
-    patches = AnchorPatches.cut(spline(FIRST), GRID[inside], SIDE)
+    patches = AnchorPatches.cut(FIRST, GRID[inside], SIDE)
     patches = replace(patches, affine=1.2 * patches.affine)
     _, _, after, _ = patches.align_left(
         spline(shown(A, np.zeros(2))), true[inside], grown(true[inside], MAX_GROWTH)
@@ -246,12 +246,12 @@ def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None
 
 def test_features_at_the_border_and_without_texture_stay() -> None:
     at_border = np.array([[1.0, 80.0], [238.5, 3.0], [120.0, 159.0]])
-    found, _, _, _ = AnchorPatches.cut(spline(FIRST), at_border, SIDE).align_left(
+    found, _, _, _ = AnchorPatches.cut(FIRST, at_border, SIDE).align_left(
         spline(FIRST), at_border, grown(at_border, 1.0)
     )
     np.testing.assert_array_equal(found, at_border)
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    found, _, after, _ = AnchorPatches.cut(spline(grey), GRID, SIDE).align_left(
+    found, _, after, _ = AnchorPatches.cut(grey, GRID, SIDE).align_left(
         spline(grey), GRID, grown(GRID, 1.0)
     )
     np.testing.assert_array_equal(found, GRID)
@@ -267,7 +267,7 @@ def test_patches_are_selected_and_joined(patches: AnchorPatches) -> None:
 
 
 def test_no_features() -> None:
-    nothing = AnchorPatches.cut(spline(FIRST), np.zeros((0, 2)), SIDE)
+    nothing = AnchorPatches.cut(FIRST, np.zeros((0, 2)), SIDE)
     found, _, after, _ = nothing.align_left(
         spline(FIRST), np.zeros((0, 2)), grown(np.zeros((0, 2)), 1.0)
     )
@@ -314,7 +314,7 @@ def test_a_fraction_of_a_pixel_is_found_without_bias(shift_px: float) -> None:
     """With bilinear interpolation, such texture is found 0.03 px too far at 0.2 px, as much too
     near at 0.8 px, and scatters by 0.01 px."""
     true = GRID + np.array([shift_px, 0.0])
-    patches = AnchorPatches.cut(spline(fine(0.0)), GRID, SIDE)
+    patches = AnchorPatches.cut(fine(0.0), GRID, SIDE)
     found, difference, _, _ = patches.align_left(spline(fine(shift_px)), true, grown(GRID, 1.0))
     error = (found - true)[np.isfinite(difference)]
     assert len(error) > 40
@@ -358,7 +358,7 @@ def test_along_an_edge_the_place_is_uncertain(angle_deg: float) -> None:
     # Some texture along the edge, without which there would be no information at all
     grey = 128.0 + 60.0 * np.tanh(0.8 * distance) + 0.25 * (texture(np.dstack([u, v])) - 128.0)
     edge = np.clip(np.round(grey), 0, 255).astype(np.uint8)
-    patch = AnchorPatches.cut(spline(edge), MIDDLE[None], SIDE)
+    patch = AnchorPatches.cut(edge, MIDDLE[None], SIDE)
     image = noisy(edge, 3.0, np.random.default_rng(6))
     *_, cov_px2 = patch.align_left(spline(image), MIDDLE[None], grown(MIDDLE[None], 1.0))
     variance, axes = np.linalg.eigh(cov_px2[0])

@@ -5,7 +5,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.tracking.anchor_patches_numba import _spline_weights
-from probevo.tracking.spline import spline_coefficients
+from probevo.tracking.spline import spline_through
 
 FRACTIONS = np.linspace(0.0, 1.0, 21).astype(np.float32)
 
@@ -19,7 +19,7 @@ def response(wave_px: float, fraction: np.float32) -> complex:
     u = np.arange(200)
     grey = [128.0 + 100.0 * np.cos(step * u), 128.0 + 100.0 * np.sin(step * u)]
     rows = [np.tile(np.round(row).astype(np.uint8), (9, 1)) for row in grey]
-    real, imaginary = (spline_coefficients(row)[4, 20:180] - 128.0 for row in rows)
+    real, imaginary = (spline_through(row).coefficients[4, 20:180] - 128.0 for row in rows)
     sharpened = np.mean((real + 1j * imaginary) * np.exp(-1j * step * u[20:180])) / 100.0
     weights = np.array(_spline_weights(fraction))
     return complex(sharpened * weights @ np.exp(1j * step * (coefficients - fraction)))
@@ -39,7 +39,7 @@ def test_waves_stay_where_they_are(wave_px: float, moved_px: float, kept: float)
 def test_the_spline_goes_through_all_pixels() -> None:
     """To what the taps beyond reach would add."""
     image = np.random.default_rng(0).integers(0, 256, (40, 60)).astype(np.uint8)
-    coefficients = spline_coefficients(image)
+    coefficients = spline_through(image).coefficients
     mean = np.array([1.0, 4.0, 1.0]) / 6.0
     at_pixels = sum(
         mean[i] * mean[j] * coefficients[i : i + 38, j : j + 58] for i in range(3) for j in range(3)

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
 
 Pyramid = tuple[Image, ...]
 """An image and its halved versions, level by level, [height / 2^level, width / 2^level], uint8."""
+
+
+class SplineImage(NamedTuple):
+    """An image, and the spline through its pixels; ``tracking.spline`` makes it."""
+
+    pixels: Image
+    """Grey levels, [height, width], uint8."""
+    coefficients: FloatArray
+    """Coefficients of the cubic B-spline, [height, width], float32, grey levels."""
 
 
 @dataclass(frozen=True)
@@ -19,10 +29,10 @@ class PreparedImages:
     """Left image minus its local mean, and the pyramid levels above it."""
     right: Pyramid
     """Right image in the same form."""
-    left_spline: FloatArray
-    """Coefficients of the spline of the left image minus its local mean, [height, width]."""
-    right_spline: FloatArray
-    """The same of the right image."""
+    left_spline: SplineImage
+    """Left image minus its local mean, with the spline through its pixels."""
+    right_spline: SplineImage
+    """Right image in the same form."""
     corners: FloatArray
     """The strongest corners of each cell of the left image, as from ``strongest_corners``."""
     left_usable: BoolArray | None

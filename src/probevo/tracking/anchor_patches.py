@@ -4,8 +4,7 @@ A window that is tracked from one frame to the next drifts where it approaches, 
 slanted, since its edges do not move as its centre does; and the drift accumulates along a track. An
 alignment with the anchor patch, the window of the first observation, does not drift. Its map is a
 plane's: affine, as found in the image, under the perspective that the motion and the slope of the
-disparity predict (``surface_motion``). Images are given by the coefficients of their splines
-(``spline``).
+disparity predict (``surface_motion``).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, concatenated
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
     Anchors,
     PatchAlignment,
@@ -25,6 +24,7 @@ from probevo.tracking.anchor_patches_numba import (
     divide_maps,
     multiply_maps,
 )
+from probevo.tracking.spline import SplineImage
 from probevo.tracking.surface_motion import SurfaceMotion
 
 SIGMA_IN_TIME = 0.03
@@ -66,11 +66,11 @@ class AnchorPatches:
     """Affine map of the last left image to the last right image, about the feature, [N, 2, 2]."""
 
     @staticmethod
-    def cut(left: FloatArray, pixels: FloatArray, side: int) -> AnchorPatches:
+    def cut(left: Image, pixels: FloatArray, side: int) -> AnchorPatches:
         """Cut patches out of a left image.
 
         Args:
-            left: coefficients of the image's spline, [height, width].
+            left: the image, [height, width], uint8.
             pixels: features (u, v), [N, 2], px.
             side: of the patches, without their margin, px; odd.
         """
@@ -113,14 +113,14 @@ class AnchorPatches:
         return concatenated([self, others])
 
     def align_left(
-        self, left: FloatArray, pixels: FloatArray, motion: SurfaceMotion
+        self, left: SplineImage, pixels: FloatArray, motion: SurfaceMotion
     ) -> AlignedPatches:
         """Align the patches with the next left image.
 
         Where the patch has grown or shrunk too much, a new anchor patch is cut out of this image.
 
         Args:
-            left: coefficients of the image's spline, [height, width].
+            left: the image.
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
@@ -140,7 +140,7 @@ class AnchorPatches:
         outgrown = (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
         # Replace them by patches of this image, whose map is the identity; drift begins anew there.
         side = self.patch.shape[1] - 2
-        fresh = AnchorPatches.cut(left, aligned.pixels[outgrown], side)
+        fresh = AnchorPatches.cut(left.pixels, aligned.pixels[outgrown], side)
         patch = self.patch.copy()
         offset_px = self.offset_px.copy()
         patch[outgrown] = fresh.patch
@@ -152,14 +152,14 @@ class AnchorPatches:
         )
         return AlignedPatches(aligned.pixels, aligned.difference, patches, aligned.cov_px2)
 
-    def align_right(self, right: FloatArray, pixels: FloatArray) -> AlignedPatches:
+    def align_right(self, right: SplineImage, pixels: FloatArray) -> AlignedPatches:
         """Align the patches with the right image of the frame whose left image came last.
 
         Where the alignment fails, the feature stays at its predicted place, and its map between
         left and right image as it was.
 
         Args:
-            right: coefficients of the image's spline, [height, width].
+            right: the image.
             pixels: predicted features (u, v), [N, 2], px.
         """
         # The map to the right image is that to the left one, then from left to right, which hardly
@@ -175,7 +175,7 @@ class AnchorPatches:
 
     def _align(
         self,
-        coefficients: FloatArray,
+        image: SplineImage,
         pixels: FloatArray,
         predicted_affine: FloatArray,
         perspective: FloatArray,
@@ -194,5 +194,5 @@ class AnchorPatches:
             difference=np.empty(len(self)),
             cov_px2=np.empty((len(self), 2, 2)),
         )
-        align_patches(coefficients, anchors, sigma, alignment)
+        align_patches(image.coefficients, anchors, sigma, alignment)
         return alignment

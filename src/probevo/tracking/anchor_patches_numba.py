@@ -4,9 +4,8 @@ The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker
 "Lucas–Kanade 20 years on: a unifying framework", IJCV 2004), under a perspective that is given. The
 image may be brighter than the patch and have more contrast: gain and offset are projected out
 (Baker, Gross, Matthews, "Lucas–Kanade 20 years on: part 3", CMU-RI-TR-03-35, 2003). The pixels of a
-patch are held in one row. Patches and images are compared as cubic B-splines (``spline``), of which
-the images are the coefficients. Indices are unsigned where speed matters: for signed ones, Numba
-handles negative values.
+patch are held in one row. Between its pixels, the image is a cubic B-spline (``spline``). Indices
+are unsigned where speed matters: for signed ones, Numba handles negative values.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 from probevo.compiled import (
     compiled,
     copy_into,
@@ -47,8 +46,6 @@ MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
 """Parameters that are adjusted to the pixels of a patch: affine map, gain and offset."""
-WHITE = np.float32(255.0)
-"""The largest grey level."""
 MAX_FORESHORTENING = 0.5
 """If the scale of a slanted surface changes by more than this from the centre of its patch to the
 border, the surface is treated as if it faced the camera."""
@@ -109,40 +106,27 @@ class WarpedPixels(NamedTuple):
 
 
 @compiled
-def cut_patches(coefficients: FloatArray, center: IntArray, patches: AnyArray) -> None:
+def cut_patches(image: Image, center: IntArray, patches: AnyArray) -> None:
     """Copy the image around center[n] = (u, v) into patches[n], [N, side, side].
 
     Beyond the border of the image its last pixels are repeated.
-
-    Args:
-        coefficients: of the image's spline, [height, width], float32.
-        center: whole pixels, [N, 2].
-        patches: receives the spline at whole pixels, in whole grey levels, uint8.
     """
-    height, width = coefficients.shape
+    height, width = image.shape
     side = patches.shape[1]
     reach = side // 2
-    four = np.float32(4.0)
-    to_mean = np.float32(1.0 / 36.0)
-    half = np.float32(0.5)  # truncation then rounds
     for n in range(len(center)):
         left = center[n, 0] - reach
         top = center[n, 1] - reach
+        if left >= 0 and top >= 0 and left + side <= width and top + side <= height:
+            # Inside of the image, where nearly all patches are, no index needs clamping.
+            for i in range(side):
+                for j in range(side):
+                    patches[n, i, j] = image[top + i, left + j]
+            continue
         for i in range(side):
-            v = min(max(top + i, 0), height - 1)
-            above = coefficients[max(v - 1, 0)]
-            at = coefficients[v]
-            below = coefficients[min(v + 1, height - 1)]
+            row = min(max(top + i, 0), height - 1)
             for j in range(side):
-                u = min(max(left + j, 0), width - 1)
-                before = max(u - 1, 0)
-                after = min(u + 1, width - 1)
-                # (1, 4, 1) / 6 along the rows, and then across them
-                total = above[before] + four * above[u] + above[after]
-                total += four * (at[before] + four * at[u] + at[after])
-                total += below[before] + four * below[u] + below[after]
-                grey = total * to_mean + half
-                patches[n, i, j] = np.uint8(min(max(grey, np.float32(0.0)), WHITE))
+                patches[n, i, j] = image[row, min(max(left + j, 0), width - 1)]
 
 
 @compiled

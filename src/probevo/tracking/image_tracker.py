@@ -103,7 +103,7 @@ class ImageTracker:
             images.corners, found.left_px, image.shape, config=self._config
         )
         corner_disparity = _disparity_of_nearest(corners, found.left_px, found.disparity_px)
-        corner_patches = AnchorPatches.cut(images.left_spline, corners, self._config.window_px)
+        corner_patches = AnchorPatches.cut(image, corners, self._config.window_px)
         # Old and new features in the right image.
         left_px = np.vstack([found.left_px, corners])
         in_stereo = self._find_in_stereo(
@@ -156,9 +156,7 @@ class ImageTracker:
         image = left[0]
         patches = prev.patches
         if patches is None:
-            patches = AnchorPatches.cut(
-                images.left_spline, np.zeros((0, 2)), self._config.window_px
-            )
+            patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
         # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
         # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)

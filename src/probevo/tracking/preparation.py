@@ -20,7 +20,7 @@ from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
 from probevo.tracking.lucas_kanade import build_pyramid
-from probevo.tracking.spline import spline_coefficients
+from probevo.tracking.spline import spline_through
 
 
 def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
@@ -69,8 +69,8 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
     return PreparedImages(
         left=left,
         right=right,
-        left_spline=spline_coefficients(left[0]),
-        right_spline=spline_coefficients(right[0]),
+        left_spline=spline_through(left[0]),
+        right_spline=spline_through(right[0]),
         corners=strongest_corners(left[0], config, left_usable),
         left_usable=left_usable,
         right_usable=usable_places(frame.right_mask, config),

@@ -19,7 +19,8 @@ import math
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import Image
+from probevo.sequences.prepared_images import SplineImage as SplineImage
 
 REACH_PX = 4
 """From here on, taps would be below 0.003."""
@@ -27,13 +28,6 @@ RESPONSE = (math.sqrt(3.0) - 2.0) ** np.abs(np.arange(-REACH_PX, REACH_PX + 1))
 TAPS = (RESPONSE / RESPONSE.sum()).astype(np.float32)
 
 
-def spline_coefficients(image: Image) -> FloatArray:
-    """Return the coefficients of the B-spline of an image.
-
-    Args:
-        image: [height, width], uint8.
-
-    Returns:
-        [height, width], float32, grey levels.
-    """
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, TAPS, TAPS))
+def spline_through(image: Image) -> SplineImage:
+    """Return an image, [height, width], uint8, with the spline through its pixels."""
+    return SplineImage(image, np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, TAPS, TAPS)))
