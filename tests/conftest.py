@@ -19,19 +19,20 @@ sys.dont_write_bytecode = False
 from compile_once import take_turns  # noqa: E402
 
 LONGEST = (
-    *("test_tutorial.py", "training/gk/test_expectation_maximization.py"),
-    *("training/test_training_at_scale.py", "nets/test_rotation_training.py"),
+    *("test_atomic_step.py", "test_examples.py", "nets/test_rotation_training.py"),
+    *("training/gk/test_expectation_maximization.py", "sim/scene/test_presets.py"),
     *("noise/gk/test_generalized_kernel.py", "nets/test_correction_training.py"),
-    *("test_atomic_step.py", "test_examples.py"),
-    *("paper/test_hydranet.py", "training/test_api.py"),
-    *("sim/scene/test_presets.py", "nets/test_learning.py", "sim/scene/test_renderer.py"),
-    *("paper/test_figure_5.py", "evaluation/test_accelerometer_scale.py", "test_odometry.py"),
-    *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
-    *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
-    *("output/report/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
+    *("test_odometry.py", "paper/test_hydranet.py", "sim/scene/test_renderer.py"),
+    *("test_tutorial.py", "training/test_training_at_scale.py", "training/test_api.py"),
+    *("nets/test_learning.py", "paper/test_figure_5.py"),
+    *("evaluation/test_accelerometer_scale.py", "predictors/test_separation.py"),
+    *("cli/test_hostile_folder.py", "test_fuzz.py", "training/probe/test_selection.py"),
+    *("estimation/test_sensor_fusion.py", "output/report/test_report.py"),
+    *("cli/test_run_command.py", "training/test_workers.py"),
     *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
 )
-"""Files of more than ten seconds of processor time, which several processes begin with."""
+"""Files of more than ten seconds of processor time, which several processes begin with. Those that
+start processes of their own come later: what is compiled by then, these need not compile again."""
 LEAST_PROCESSES = 5
 """Of ``--numprocesses auto``: some tests wait, and others share the processor with something."""
 
