@@ -118,7 +118,11 @@ def rendered_once(config: SceneConfig) -> SceneRecording:
 def test_learn_whom_to_trust(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What was learned in one street makes steps in another better; here with smaller images."""
+    """What was learned in one street serves in another; here with smaller images.
+
+    Of one pair of streets the gain over ``student-t`` is chance: over 48 pairs, the error is 0.8 to
+    1.1 times as large (``benchmarks/probe_streets.py``).
+    """
     example = load("04_learn_whom_to_trust.py")
     rig = RigConfig(width_px=414, height_px=126, focal_px=240.0)
     monkeypatch.setattr(
@@ -128,7 +132,8 @@ def test_learn_whom_to_trust(
     lines = capsys.readouterr().out.splitlines()
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]
-    assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]
+    assert mean_mm["learned"] < 1.2 * mean_mm["student-t"]
+    assert mean_mm["learned"] < 0.2 * mean_mm["fixed"]
 
 
 def test_merge_rows(monkeypatch: pytest.MonkeyPatch) -> None:
