@@ -37,6 +37,9 @@ def texture() -> Image:
     return np.clip(128 + 40 * np.sum(layers, axis=0), 0, 255).astype(np.uint8)
 
 
+FINER = 4
+
+
 def true_poses(frames: int) -> FloatArray:
     """Return T_world_cam, [frames, 4, 4], m."""
     return np.array([se3.inverse(se3.exp(k * STEP)) for k in range(frames)])
@@ -54,9 +57,13 @@ def render(wall: Image, T_cam_world: FloatArray) -> Image:
     to_wall = np.array(
         [[TEXEL_M, 0.0, -TEXEL_M * center], [0.0, TEXEL_M, -TEXEL_M * center], [0.0, 0.0, 1.0]]
     )
-    return np.asarray(
-        cv2.warpPerspective(wall, K @ to_camera @ to_wall, SIZE_PX, flags=cv2.INTER_AREA), np.uint8
-    )
+    # Rendered at four times the size: a pixel is a mean over its area, as in a camera. Bilinear
+    # interpolation of the wall itself would show its texture at places of its own.
+    finer = np.diag([FINER, FINER, 1.0])
+    finer[:2, 2] = 0.5 * (FINER - 1)
+    size_px = (FINER * SIZE_PX[0], FINER * SIZE_PX[1])
+    large = cv2.warpPerspective(wall, finer @ K @ to_camera @ to_wall, size_px)
+    return np.asarray(cv2.resize(large, SIZE_PX, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool = False) -> Path:
