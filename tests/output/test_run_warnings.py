@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import probevo as pv
+from probevo.arrays import FloatArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
@@ -32,28 +33,41 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
 
 
-@pytest.mark.parametrize("moves", [True, False])
-def test_a_camera_at_rest_has_no_scale(moves: bool) -> None:
-    """Its true steps are the noise of the truth, which no estimate has."""
-    rng = np.random.default_rng(3)
+def _scale_said(true_m: FloatArray, steps_m: FloatArray) -> str | None:
+    """Return the warning of a run with steps along the optical axis, [N], m, beside true
+    positions, [N, 3], m."""
     recorder = RunRecorder()
-    truth = []
-    for frame in range(30):
-        T_world_cam = np.eye(4)
-        T_world_cam[:3, 3] = 1e-4 * rng.normal(size=3)
-        T_estimated = np.eye(4)
-        if moves:
-            T_world_cam[2, 3] += 0.1 * frame
-            T_estimated[2, 3] = -0.2
+    truth = np.tile(np.eye(4), (len(true_m), 1, 1))
+    truth[:, :3, 3] = true_m
+    for frame, step_m in enumerate(steps_m):
+        T_curr_prev = np.eye(4)
+        T_curr_prev[2, 3] = -step_m
         status = Status.OK if frame else Status.FIRST
-        recorder.add(frame, pv.MotionEstimate(T_estimated, np.eye(6), status, 0))
-        truth.append(T_world_cam)
-    warning = scale_warning(recorder.result(), np.array(truth))
-    if moves:
-        assert warning is not None
-        assert "The steps are 2 times as long" in warning
-    else:
-        assert warning is None
+        recorder.add(frame, pv.MotionEstimate(T_curr_prev, np.eye(6), status, 0))
+    return scale_warning(recorder.result(), truth)
+
+
+def test_steps_twice_as_long_as_the_true_ones_are_warned_of() -> None:
+    rng = np.random.default_rng(3)
+    true_m = 1e-4 * rng.normal(size=(30, 3))
+    true_m[:, 2] += 0.1 * np.arange(30)
+    said = _scale_said(true_m, np.full(30, 0.2))
+    assert said is not None
+    assert "The steps are 2 times as long" in said
+    assert _scale_said(true_m, np.full(30, 0.1)) is None
+
+
+@pytest.mark.parametrize("smooth", [1, 5])
+@pytest.mark.parametrize("step_m", [0.0, 1e-5, 1e-4])
+def test_a_camera_at_rest_has_no_scale(step_m: float, smooth: int) -> None:
+    """Its true steps are the noise of the truth, which no estimate has; where the truth is
+    smoothed, they go on in one direction for some frames."""
+    rng = np.random.default_rng(3)
+    noise = 1e-3 * rng.normal(size=(60 + smooth, 3))
+    true_m = np.mean([noise[k : k + 60] for k in range(smooth)], axis=0)
+    true_m[:, 2] += step_m * np.arange(60)
+    assert _scale_said(true_m, np.full(60, step_m)) is None
+    assert _scale_said(true_m, step_m + 1e-4 * rng.normal(size=60)) is None
 
 
 def test_a_sensor_that_lies_is_named_with_its_frame() -> None:

@@ -23,8 +23,8 @@ MAX_HEIGHT_ERROR = 0.03
 """Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
 FEWEST_FOR_SCALE = 5
 """Least number of steps for the scale."""
-LEAST_COSINE = 0.5
-"""Median cosine between successive true steps of a camera that moves."""
+SCALE_SIGMAS = 3.0
+"""Standard errors of the scale beyond which it is not the noise of the steps or of the truth."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -174,18 +174,18 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     if truth is None or len(result) < 2:
         return None
     true_m = relative_motions(truth)[:, :3, 3]
-    steps_m = result.T_curr_prev[:, :3, 3]
-    length_m = np.linalg.norm(true_m, axis=1)
-    is_known = np.isfinite(length_m) & (length_m > 0.0) & (result.status == Status.OK)
+    is_known = np.isfinite(true_m).all(axis=1) & (result.status == Status.OK)
     if is_known.sum() < FEWEST_FOR_SCALE:
         return None
-    # Use the longer half of the steps, projected on the true ones, so that noise does not bias the
-    # lengths.
-    is_known &= length_m >= np.median(length_m[is_known])
-    if not _go_on(true_m[is_known]):
+    true_m = true_m[is_known]
+    steps_m = result.T_curr_prev[is_known, :3, 3]
+    # Noise in what is projected on makes a projection too short: that of the steps where the truth
+    # is noisy, as it is beside a camera at rest, and that of the truth where the steps are. The
+    # scale is between the one and the inverse of the other.
+    errors = np.array([_ratio(steps_m, true_m), 1.0 / _ratio(true_m, steps_m)]) - 1.0
+    if not errors[0] * errors[1] > 0.0:
         return None
-    along_m = np.sum(steps_m[is_known] * true_m[is_known], axis=1) / length_m[is_known]
-    scale = float(np.median(along_m / length_m[is_known]))
+    scale = 1.0 + float(errors[np.argmin(np.abs(errors))])
     if abs(scale - 1.0) <= MAX_SCALE_ERROR:
         return None
     return (
@@ -194,11 +194,17 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     )
 
 
-def _go_on(steps_m: FloatArray) -> bool:
-    """Return whether most steps, [K, 3], continue in the direction of the previous one.
-
-    The true steps of a camera at rest are noise, and have no common direction.
-    """
-    along_m2 = np.sum(steps_m[1:] * steps_m[:-1], axis=1)
-    lengths_m = np.linalg.norm(steps_m, axis=1)
-    return bool(np.median(along_m2 / (lengths_m[1:] * lengths_m[:-1])) > LEAST_COSINE)
+def _ratio(steps_m: FloatArray, others_m: FloatArray) -> float:
+    """Return the median length of steps, [K, 3], projected on the longer half of others, as a share
+    of these; NaN if noise may be why it is not 1."""
+    squared_m2 = np.sum(others_m * others_m, axis=1)
+    is_long = squared_m2 >= np.median(squared_m2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.sum(steps_m * others_m, axis=1)[is_long] / squared_m2[is_long]
+    median = float(np.median(ratios))
+    # 1.4826 times the median of absolute values is the σ of a Gaussian, 1.2533 times the standard
+    # error of a mean that of a median.
+    scatter = 1.4826 * float(np.median(np.abs(ratios - median)))
+    standard_error = 1.2533 * scatter / len(ratios) ** 0.5
+    is_certain = median > 0.0 and abs(median - 1.0) > SCALE_SIGMAS * standard_error
+    return median if is_certain else np.nan
