@@ -29,7 +29,7 @@ def test_where_nothing_is_compiled_another_process_begins_with_the_solver(
     monkeypatch.setattr(first_use, "solver_cache", lambda: tmp_path)
     monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     assert [first_use.getting_ready() for _ in range(2)] == [
-        "compiling, only this first time: 10 to 30 s"
+        "compiling, only this first time: 20 to 60 s"
     ] * 2
     assert started == ["from probevo.cli.first_use import solve_once; solve_once()"]
 

@@ -23,7 +23,7 @@ def getting_ready() -> str:
 
     if joblib.cpu_count() > 1:
         compile_solver()
-    return "compiling, only this first time: 10 to 30 s"
+    return "compiling, only this first time: 20 to 60 s"
 
 
 def say_if_compiling() -> None:
