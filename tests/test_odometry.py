@@ -12,8 +12,8 @@ import pytest
 import probevo as pv
 from cli.rendering import write_wall
 from intervals import chi2_interval
-from probevo.arrays import FloatArray
-from probevo.config import GyroConfig, SolverConfig
+from probevo.arrays import FloatArray, Image
+from probevo.config import GyroConfig, SolverConfig, TrackingConfig
 from probevo.errors import InputError
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import Metrics, evaluate
@@ -27,6 +27,8 @@ from probevo.predictors import prediction_space
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.tracking import preparation
+from probevo.tracking.preparation import high_pass
 from worlds import (
     CAMERA,
     FORWARD,
@@ -416,6 +418,28 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     for motion, T_true in zip(motions[6:11], true[5:10], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[11].status is OK
+
+
+def test_features_are_found_again_in_images_that_are_prepared_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a black frame, a step searches twice: from the previous frame, and from the last
+    usable one."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 10))
+    frames = list(sequence)
+    black = np.zeros_like(frames[6].left)
+    frames[6] = replace(frames[6], left=black, right=black.copy())
+    prepared = []
+
+    def counted(image: Image, config: TrackingConfig) -> Image:
+        prepared.append(image)
+        return high_pass(image, config)
+
+    monkeypatch.setattr(preparation, "high_pass", counted)
+    odometry = pv.StereoOdometry(sequence.camera)
+    motions = [odometry.step(frame) for frame in frames]
+    assert motions[7].status is pv.Status.RECOVERED
+    assert len(prepared) == 2 * len(frames)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

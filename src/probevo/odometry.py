@@ -247,12 +247,13 @@ class StereoOdometry:
             tracked = Tracked.nothing(state.tracking)
         else:
             # Usually one start, the prediction. While speed or rotation are unknown there are more.
+            frame = with_prepared_images(frame, self._tracking)
             starts = model.starts(prediction.duration_s, prediction.motion)
             starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
             tracked = track_from_best_start(
                 tracker_for(frame, self.camera, self._tracking),
                 state.tracking,
-                with_prepared_images(frame, self._tracking),
+                frame,
                 prev_frame=state.frame,
                 starts=starts,
                 camera=self.camera,
@@ -279,6 +280,8 @@ class StereoOdometry:
             )
         )
         clock.lap("predict")
+        # A second search in the same images, from the last usable frame, finds them prepared.
+        prediction = replace(prediction, frame=frame)
         return Observed(prediction, tracked, corrected, phi, is_frozen)
 
     def _measure(self, prediction: Prediction) -> Measured:

@@ -18,7 +18,10 @@ from probevo.estimation.search_starts import (
 )
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking import Tracked, TrackingState, Tracks
+from probevo.tracking import FeatureMatcher, ImageTracker, Tracked, TrackingState, Tracks
+from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.image_tracker import Followed
+from probevo.tracking.preparation import prepare_images
 
 WIDTH_PX = 640
 HEIGHT_PX = 240
@@ -113,19 +116,29 @@ def test_the_prediction_of_a_gyro_is_a_start_if_it_is_far_enough() -> None:
             np.testing.assert_array_equal(start[:3, 3], [0.0, 0.0, -1.0])
 
 
-class Counting:
+class Counting(ImageTracker):
     """Finds points at infinity, at rest, from one start; from others nothing."""
 
     def __init__(self, right: FloatArray) -> None:
+        super().__init__(CAMERA, pv.OdometryConfig().tracking)
         self.right = right
         self.starts = list[FloatArray]()
+        self.completed = list[int]()
+        """Which of the starts new features were added to."""
 
-    def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
+    def follow(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Followed:
         self.starts.append(T_curr_prev)
         count = 60 if np.array_equal(T_curr_prev, self.right) else 0
         px = np.random.default_rng(0).uniform(20.0, 220.0, (count, 4))[:, [0, 1, 0, 1]]
         tracks = Tracks(px, px, np.arange(count), age=np.full(count, 2))
-        return Tracked(tracks, TrackingState.none(next_id=len(self.starts)))
+        images = prepare_images(frame, self._config)
+        alive = TrackingState.none(next_id=len(self.starts))
+        patches = AnchorPatches.cut(images.left[0], np.zeros((0, 2)), self._config.window_px)
+        return Followed(images, tracks, alive, patches, px[:, :2], np.zeros(count))
+
+    def with_new_features(self, followed: Followed) -> Tracked:
+        self.completed.append(followed.alive.next_id - 1)
+        return Tracked(followed.tracks, followed.alive)
 
 
 @pytest.mark.parametrize("best", [0, 1, 2])
@@ -144,25 +157,49 @@ def test_each_start_is_tracked_from_once_and_the_best_is_proposed(best: int) -> 
     )
     assert len(tracked.tracks) == 60
     assert tracked.state.next_id == best + 1
+    assert tracker.completed == [best]
     np.testing.assert_array_equal(tracker.starts, starts)
 
 
-@pytest.mark.parametrize("has_features", [False, True])
-def test_a_single_start_or_given_features_are_tracked_once(has_features: bool) -> None:
-    starts = [se3.exp(0.02 * np.eye(6)[k]) for k in range(2 if has_features else 1)]
+def test_a_single_start_is_tracked_once() -> None:
+    starts = [se3.exp(0.02 * np.eye(6)[0])]
     tracker = Counting(starts[0])
-    given = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
-    shown = Frame(1, 1, features=given) if has_features else frame(1, view(300, 120))
     track_from_best_start(
         tracker,
         TrackingState.none(),
-        shown,
+        frame(1, view(300, 120)),
         prev_frame=frame(0, view(300, 120)),
         starts=starts,
         camera=CAMERA,
         config=pv.OdometryConfig(),
     )
-    np.testing.assert_array_equal(tracker.starts, starts[:1])
+    np.testing.assert_array_equal(tracker.starts, starts)
+    assert tracker.completed == [0]
+
+
+def test_given_features_are_matched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    called = []
+    matched = FeatureMatcher.track
+
+    def counted(
+        matcher: FeatureMatcher, state: TrackingState, frame: Frame, T: FloatArray
+    ) -> Tracked:
+        called.append(frame.index)
+        return matched(matcher, state, frame, T)
+
+    monkeypatch.setattr(FeatureMatcher, "track", counted)
+    given = StereoFeatures(np.arange(3), np.full((3, 4), 50.0))
+    tracked = track_from_best_start(
+        FeatureMatcher(),
+        TrackingState.none(),
+        Frame(1, 1, features=given),
+        prev_frame=Frame(0, 0, features=given),
+        starts=[np.eye(4), se3.exp(0.02 * np.eye(6)[1])],
+        camera=CAMERA,
+        config=pv.OdometryConfig(),
+    )
+    assert called == [1]
+    assert len(tracked.state) == 3
 
 
 @pytest.mark.parametrize(("num_alive", "is_lost"), [(119, False), (121, True)])

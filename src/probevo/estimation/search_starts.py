@@ -13,7 +13,7 @@ from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
-from probevo.tracking import Tracked, Tracker, TrackingState
+from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
 
 REACH_PX = 30.0
 """Distance from the prediction within which the tracker, with its three pyramid levels, reliably
@@ -106,10 +106,10 @@ def track_from_best_start(
     the view, a larger share of those that are found.
     """
     # Features of a tracks file are matched by identity, whatever the start.
-    if frame.features is not None:
+    if not isinstance(tracker, ImageTracker):
         return tracker.track(state, frame, starts[0])
-    found = [tracker.track(state, frame, start) for start in starts]
-    most_found = max(len(tracked.tracks) for tracked in found)
+    found = [tracker.follow(state, frame, start) for start in starts]
+    most_found = max(len(followed.tracks) for followed in found)
     is_lost = most_found < FEWEST_KEPT * len(state)
     if is_lost and prev_frame.left is not None and frame.left is not None:
         shown = matched_rotation(prev_frame.left, frame.left, camera)
@@ -117,13 +117,13 @@ def track_from_best_start(
             shown = coarse_rotation(prev_frame.left, frame.left, camera)
         further = _with_rotations(starts[0], [shown], camera)
         starts = starts + further
-        found += [tracker.track(state, frame, start) for start in further]
+        found += [tracker.follow(state, frame, start) for start in further]
     if len(found) == 1:
-        return found[0]
+        return tracker.with_new_features(found[0])
     agreement = []
-    for start, tracked in zip(starts, found, strict=True):
+    for start, followed in zip(starts, found, strict=True):
         consensus = find_consensus(
-            tracked.tracks,
+            followed.tracks,
             camera,
             rng=np.random.default_rng([config.seed, frame.index]),
             guess=start,
@@ -132,5 +132,5 @@ def track_from_best_start(
         )
         # All starts use the same seed, so that only the tracks differ.
         num_inliers = int(consensus.inliers.sum())
-        agreement.append(num_inliers**2 / max(len(tracked.tracks), 1))  # their number times share
-    return found[int(np.argmax(agreement))]
+        agreement.append(num_inliers**2 / max(len(followed.tracks), 1))  # their number times share
+    return tracker.with_new_features(found[int(np.argmax(agreement))])

@@ -57,6 +57,24 @@ class _FoundInTime:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """Features of the previous frame that are found in both images of this one, before new ones are
+    looked for."""
+
+    images: PreparedImages
+    """The images of this frame."""
+    tracks: Tracks
+    alive: TrackingState
+    """The features of the tracks in this frame, without their anchor patches."""
+    patches: AnchorPatches
+    """Of the same."""
+    left_px: FloatArray
+    """(u, v) of those found in the left image, whether or not in the right one, too, [N, 2], px."""
+    disparity_px: FloatArray
+    """Predicted disparity of these, [N], px."""
+
+
+@dataclass(frozen=True)
 class _FoundInStereo:
     """M of N points in the left image, found in the right one."""
 
@@ -91,57 +109,83 @@ class ImageTracker:
             frame: with both images.
             T_curr_prev: motion that the search starts from, [4, 4].
         """
-        # Old features in the current left image, with their predicted disparity.
+        return self.with_new_features(self.follow(state, frame, T_curr_prev))
+
+    def follow(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Followed:
+        """Find the features of the previous frame in this one; see ``track``."""
         images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
+        # In the current left image, with their predicted disparity, and from there in the right.
         found = self._find_in_time(state, images, T_curr_prev, rejected=rejected)
-        num_found = len(found.left_px)
-        # New corners in the cells that have room. The search for them in the right image starts
-        # from the disparity of the nearest feature.
-        image = images.left[0]
-        corners = corners_in_free_cells(
-            images.corners, found.left_px, image.shape, config=self._config
-        )
-        corner_disparity = _disparity_of_nearest(corners, found.left_px, found.disparity_px)
-        corner_patches = AnchorPatches.cut(image, corners, self._config.window_px)
-        # Old and new features in the right image.
-        left_px = np.vstack([found.left_px, corners])
         in_stereo = self._find_in_stereo(
             images,
-            left_px,
-            found.patches.joined(corner_patches),
-            disparity_px=np.concatenate([found.disparity_px, corner_disparity]),
-            is_predicted=np.arange(len(left_px)) < num_found,
+            found.left_px,
+            found.patches,
+            disparity_px=found.disparity_px,
+            are_new=False,
+            fewest=_fewest_to_go_on(self._config),
             rejected=rejected,
         )
-        # The features of the previous frame come first, then the new ones.
         matched = in_stereo.matched
-        survived = matched[:num_found]
-        num_survived = int(survived.sum())
-        num_new = int(matched[num_found:].sum())
-        # Only features with a stereo match go on; a new one gets an identity once it has one.
+        # Only features with a stereo match go on.
         alive = TrackingState(
-            ids=np.concatenate([found.prev.ids[survived], state.next_id + np.arange(num_new)]),
-            pixels=np.hstack([left_px[matched], in_stereo.right_px]),
-            age=np.concatenate([found.prev.age[survived] + 1, np.ones(num_new, np.int64)]),
-            patches=in_stereo.patches,
+            ids=found.prev.ids[matched],
+            pixels=np.hstack([found.left_px[matched], in_stereo.right_px]),
+            age=found.prev.age[matched] + 1,
             left=images.left,
-            next_id=state.next_id + num_new,
+            next_id=state.next_id,
         )
         tracks = Tracks(
-            prev_px=found.prev.pixels[survived],
-            curr_px=alive.pixels[:num_survived],
-            ids=alive.ids[:num_survived],
-            age=alive.age[:num_survived],
-            rejected=dict(rejected),
-            difference=np.column_stack(
-                [found.difference[survived], in_stereo.difference[:num_survived]]
-            ),
-            alignment_cov_px2=np.stack(
-                [found.cov_px2[survived], in_stereo.cov_px2[:num_survived]], axis=1
-            ),
+            prev_px=found.prev.pixels[matched],
+            curr_px=alive.pixels,
+            ids=alive.ids,
+            age=alive.age,
+            rejected=rejected,
+            difference=np.column_stack([found.difference[matched], in_stereo.difference]),
+            alignment_cov_px2=np.stack([found.cov_px2[matched], in_stereo.cov_px2], axis=1),
         )
-        return Tracked(tracks, alive)
+        return Followed(
+            images=images,
+            tracks=tracks,
+            alive=alive,
+            patches=in_stereo.patches,
+            left_px=found.left_px,
+            disparity_px=found.disparity_px,
+        )
+
+    def with_new_features(self, followed: Followed) -> Tracked:
+        """Add new features where there is room."""
+        images = followed.images
+        image = images.left[0]
+        # New corners in the cells that have room. The search for them in the right image starts
+        # from the disparity of the nearest feature.
+        corners = corners_in_free_cells(
+            images.corners, followed.left_px, image.shape, config=self._config
+        )
+        rejected = Counter(followed.tracks.rejected)
+        in_stereo = self._find_in_stereo(
+            images,
+            corners,
+            AnchorPatches.cut(image, corners, self._config.window_px),
+            disparity_px=_disparity_of_nearest(corners, followed.left_px, followed.disparity_px),
+            are_new=True,
+            fewest=max(_fewest_to_go_on(self._config) - len(followed.alive), 0),
+            rejected=rejected,
+        )
+        # The features of the previous frame come first, then the new ones, which get an identity.
+        alive = followed.alive
+        num_new = len(in_stereo.right_px)
+        state = replace(
+            alive,
+            ids=np.concatenate([alive.ids, alive.next_id + np.arange(num_new)]),
+            pixels=np.vstack(
+                [alive.pixels, np.hstack([corners[in_stereo.matched], in_stereo.right_px])]
+            ),
+            age=np.concatenate([alive.age, np.ones(num_new, np.int64)]),
+            patches=followed.patches.joined(in_stereo.patches),
+            next_id=alive.next_id + num_new,
+        )
+        return Tracked(replace(followed.tracks, rejected=dict(rejected)), state)
 
     def _find_in_time(
         self,
@@ -179,7 +223,8 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
             rejected["masked"] += int((inside & ~unmasked).sum())
             inside &= unmasked
-        alike = _look_alike(tracked.difference, inside, self._config)
+        fewest = _fewest_to_go_on(self._config)
+        alike = _look_alike(tracked.difference, inside, self._config, fewest=fewest)
         rejected["looks different"] += int((inside & ~alike).sum())
         alive = alive[alike]
         # Align with the anchor patch, the image of the feature when it was first seen, which
@@ -215,7 +260,8 @@ class ImageTracker:
         patches: AnchorPatches,
         *,
         disparity_px: FloatArray,
-        is_predicted: BoolArray,
+        are_new: bool,
+        fewest: int,
         rejected: Counter[str],
     ) -> _FoundInStereo:
         """Find N points of the left image in the right one.
@@ -225,8 +271,9 @@ class ImageTracker:
             left_px: the points, (u, v), [N, 2], px.
             patches: anchor patch of each.
             disparity_px: predicted disparity, [N], px.
-            is_predicted: which disparities follow from the previous frame, [N]; those of new
-                corners are only a guess.
+            are_new: whether these are new corners, whose disparity is only a guess; that of others
+                follows from the previous frame.
+            fewest: how many must go on, however different they look.
             rejected: counts what each check rejects.
         """
         # Lucas–Kanade from the left to the right image, from the predicted disparity.
@@ -235,9 +282,10 @@ class ImageTracker:
         # The row stays: the pair is rectified.
         start_px = left_px - np.column_stack([disparity_px, np.zeros(len(left_px))])
         tracked = track_points(
-            left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
+            left, right, left_px, start_px=start_px, config=self._config, are_near=not are_new
         )
-        tracked = self._with_row_search(images, left_px, tracked, is_predicted)
+        if are_new:
+            tracked = self._with_row_search(images, left_px, tracked)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
         is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
@@ -253,7 +301,7 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.right_usable)
             rejected["masked"] += int((consistent & ~unmasked).sum())
             consistent &= unmasked
-        alike = _look_alike(tracked.difference, consistent, self._config)
+        alike = _look_alike(tracked.difference, consistent, self._config, fewest=fewest)
         rejected["no stereo match"] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
         aligned = patches.subset(alike).align_right(images.right_spline, tracked.pixels[alike])
@@ -262,10 +310,10 @@ class ImageTracker:
         rejected[NO_FIT] += int((~fits).sum())
         # A new feature must not repeat along its row: nothing but its neighbours tells which of
         # the places is the true one. An old one was found there before.
-        is_new = fits & ~is_predicted[alike]
-        unique = self._is_unique(images, left_px[alike][is_new], aligned.pixels[is_new])
-        rejected["repeats along its row"] += int((~unique).sum())
-        fits[is_new] = unique
+        if are_new:
+            unique = self._is_unique(images, left_px[alike][fits], aligned.pixels[fits])
+            rejected["repeats along its row"] += int((~unique).sum())
+            fits[fits] = unique
         # ``fits`` is over the points that look alike; scatter it over all N.
         matched = alike.copy()
         matched[alike] = fits
@@ -304,7 +352,6 @@ class ImageTracker:
         images: PreparedImages,
         left_px: FloatArray,
         tracked: TrackedPoints,
-        is_predicted: BoolArray,
     ) -> TrackedPoints:
         """Search those new corners along their rows that Lucas–Kanade has not found.
 
@@ -314,16 +361,15 @@ class ImageTracker:
 
         Args:
             images: the left and the right image.
-            left_px: N points in the left image, (u, v), [N, 2], px.
+            left_px: N new corners in the left image, (u, v), [N, 2], px.
             tracked: where Lucas–Kanade has ended in the right image.
-            is_predicted: which disparities follow from the previous frame, [N].
 
         Returns:
-            All N points, those that the search has found at their new places.
+            All N corners, those that the search has found at their new places.
         """
         looks_alike = tracked.difference <= _gate(self._config)
         same_row, _ = self._is_consistent(left_px, tracked.pixels)
-        lost = np.flatnonzero(~is_predicted & ~(same_row & looks_alike))
+        lost = np.flatnonzero(~(same_row & looks_alike))
         # In images of half the size there are half as many places, windows cover more, and an error
         # of the rows is half as large.
         level = min(1, len(images.left) - 1)
@@ -347,7 +393,7 @@ class ImageTracker:
             left_px[lost],
             start_px=start_px,
             config=self._config,
-            near=np.ones(len(lost), np.bool_),
+            are_near=True,
         )
         same_row, _ = self._is_consistent(left_px[lost], again.pixels)
         is_found = same_row & (again.difference <= _gate(self._config))
@@ -387,27 +433,25 @@ def _disparity_of_nearest(
     return found
 
 
-def _look_alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
+def _look_alike(
+    difference: FloatArray, candidates: BoolArray, config: TrackingConfig, *, fewest: int
+) -> BoolArray:
     """Return which of the candidates [N] look alike in both windows.
 
-    These differ little, or are among the least different quarter of the features wanted: where
-    everything has changed, by a large step or blur, some must go on.
+    These differ little, or are among the ``fewest`` least different ones: where everything has
+    changed, by a large step or blur, some must go on.
     """
     candidates = candidates & np.isfinite(difference)
-    largest = max(_gate(config), _largest_of_quarter(difference[candidates], config))
+    least = np.sort(difference[candidates])[:fewest]
+    largest = max(_gate(config), least[-1]) if len(least) else _gate(config)
     alike: BoolArray = candidates & (difference <= largest)
     return alike
 
 
-def _largest_of_quarter(difference: FloatArray, config: TrackingConfig) -> float:
-    """Return the largest of the least differences [N] that make a quarter of the features wanted.
-
-    The quarter is of those wanted, not of those found, so that few survivors are not thinned.
-    """
-    if len(difference) == 0:
-        return 0.0
-    quarter = min(config.num_features // 4, len(difference))
-    return float(np.sort(difference)[quarter - 1])
+def _fewest_to_go_on(config: TrackingConfig) -> int:
+    """Return a quarter of the features wanted; not of those found, so that few survivors are not
+    thinned."""
+    return config.num_features // 4
 
 
 def _gate(config: TrackingConfig) -> float:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, Image
+from probevo.arrays import FloatArray, Image
 from probevo.config import TrackingConfig
 from probevo.sequences.prepared_images import Pyramid as Pyramid
 
@@ -47,7 +47,7 @@ def track_points(
     *,
     start_px: FloatArray,
     config: TrackingConfig,
-    near: BoolArray | None = None,
+    are_near: bool = False,
 ) -> TrackedPoints:
     """Track points from one image to another by pyramidal Lucas–Kanade.
 
@@ -60,7 +60,7 @@ def track_points(
         template_px: points (u, v) in the first, [N, 2], px.
         start_px: where the search starts in the second, [N, 2], px.
         config: number of levels and size of the window.
-        near: which starts are within a pixel or two of the result, [N]. For these the lowest
+        are_near: whether the starts are within a pixel or two of the result, so that the lowest
             levels are enough.
     """
     if len(template_px) == 0:
@@ -68,25 +68,21 @@ def track_points(
     # OpenCV computes in single precision.
     points_px = template_px.astype(np.float32)
     found_px = start_px.astype(np.float32)
-    everyone = np.arange(len(points_px))
-    far = everyone if near is None else np.flatnonzero(~near)
+    num_levels = min(LEVELS_IF_NEAR, len(template)) if are_near else len(template)
     size = (config.window_px, config.window_px)
     criteria = cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
     # From coarse to fine: each level starts where the coarser one has ended.
-    for level in reversed(range(len(template))):
-        chosen = everyone if level < LEVELS_IF_NEAR else far
+    for level in reversed(range(num_levels)):
         # pyrDown keeps pixel (0, 0) in place, so that coordinates only scale.
         scale = np.float32(0.5**level)
-        if not len(chosen):
-            continue
         # Only the finest level's difference is used. On the others, ask for the eigenvalues in its
         # place, which are computed anyway.
         without_difference = cv2.OPTFLOW_LK_GET_MIN_EIGENVALS if level else 0
         scaled_px, status, difference = cv2.calcOpticalFlowPyrLK(
             template[level],
             image[level],
-            points_px[chosen] * scale,
-            found_px[chosen] * scale,
+            points_px * scale,
+            found_px * scale,
             winSize=size,
             maxLevel=0,
             criteria=(criteria, MAX_ITERATIONS, MAX_STEP_PX),
@@ -94,8 +90,8 @@ def track_points(
             minEigThreshold=MIN_EIGENVALUE,
         )
         # A point without texture on this level stays at its start
-        found_px[chosen] = scaled_px / scale
-    # Level 0 comes last and has all points: its status and difference are those of the result
+        found_px = scaled_px / scale
+    # Level 0 comes last: its status and difference are those of the result
     found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
     return TrackedPoints(
         pixels=np.where(found[:, None], found_px, -1.0).astype(np.float64),
