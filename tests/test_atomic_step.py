@@ -296,7 +296,7 @@ STAGES = {
     "last residuals": Stage("probevo.tracking.last_residuals:LastResiduals", "left_by"),
     "outliers dropped": Stage("probevo.tracking:TrackingState", "without"),
     "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced", first=2),
-    "sensor tests": Stage("probevo.estimation.sensor_fusion", "motion_innovations_squared"),
+    "sensor tests": Stage("probevo.estimation.sensor_fusion", "motion_innovations"),
     "sensor fusion": Stage("probevo.estimation.sensor_fusion:SensorFusion", "updated"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
     "window's new frame": Stage(

@@ -574,10 +574,25 @@ def test_images_that_overwrite_those_before_are_refused() -> None:
     odometry.step(Frame(0, 0, left, right=right))
     with pytest.raises(
         InputError,
-        match="frame 1: an image of it is in the same memory as that of the frame before",
+        match="frame 1: an image of it is in the same memory as that of frame 0",
     ):
         odometry.step(Frame(1, 10**8, left, right=WHOLE.copy()))
     assert odometry.step(Frame(1, 10**8, left.copy(), right=right.copy())).status is not OK
+
+
+def test_images_that_overwrite_those_of_the_last_usable_frame_are_refused(tmp_path: Path) -> None:
+    """A driver with two buffers: behind a black frame, features are searched for that are in the
+    buffer which it has just filled again."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 6))
+    frames = list(sequence)
+    black = np.zeros_like(frames[4].left)
+    frames[4] = replace(frames[4], left=black, right=black.copy())
+    frames[5] = replace(frames[5], left=frames[3].left, right=frames[3].right)
+    odometry = pv.StereoOdometry(sequence.camera)
+    for frame in frames[:5]:
+        odometry.step(frame)
+    with pytest.raises(InputError, match="in the same memory as that of frame 3"):
+        odometry.step(frames[5])
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -24,7 +24,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, St
 from probevo.estimation.recovery import INLIERS_FACTOR
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
-from probevo.estimation.sensor_fusion import solve_innovations_squared
+from probevo.estimation.sensor_fusion import solve_innovations
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.estimation.window import inertial
 from probevo.estimation.window.estimator import WindowEstimator
@@ -40,6 +40,7 @@ from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import as_camera, as_config, as_imu, as_noise
 from probevo.sequences.frame import Frame
+from probevo.sequences.frame_checks import check_memory
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
@@ -114,6 +115,8 @@ class StereoOdometry:
         if state is None:
             self._state = self._first_state(frame)
             return MotionEstimate.first(missing)
+        if state.last_usable is not None:
+            check_memory(state.last_usable.state.frame, frame)
         clock = StageClock(decode=frame.decode_ms)
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
@@ -247,9 +250,10 @@ class StereoOdometry:
             tracked = Tracked.nothing(state.tracking)
         else:
             # Usually one start, the prediction. While speed or rotation are unknown there are more.
-            frame = with_prepared_images(frame, self._tracking)
             starts = model.starts(prediction.duration_s, prediction.motion)
-            starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
+            if frame.features is None:
+                frame = with_prepared_images(frame, self._tracking)
+                starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
             tracked = track_from_best_start(
                 tracker_for(frame, self.camera, self._tracking),
                 state.tracking,
@@ -393,7 +397,7 @@ class StereoOdometry:
                 readings,
                 pose,
                 self.config.north,
-                motion_squared=solve_innovations_squared(readings, pose, solution),
+                of_motion=solve_innovations(readings, pose, solution),
             )
         # The estimate and the state. The features keep the motion of this step by the images alone.
         T_of_images = of_images.T_curr_prev

@@ -11,6 +11,7 @@ import pytest
 
 import probevo as pv
 from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter import jitter_offsets
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -36,6 +37,27 @@ def covariances(rng: np.random.Generator, count: int) -> FloatArray:
     """Covariances from good to bad, with correlations."""
     mixing = rng.normal(size=(count, 4, 4)) * rng.uniform(0.05, 0.3, (count, 1, 1))
     return mixing @ mixing.mT + 0.05**2 * np.eye(4)
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 1e-3, 3e-3])
+def test_a_rig_that_flexes_makes_no_match_an_outlier(yaw_rad: float) -> None:
+    """All u_r of a frame are off by the same half of a pixel or one and a half, as the noise says
+    that they may be."""
+    rng = np.random.default_rng(2)
+    sigma_px = 0.1
+    noise = pv.noise.StereoNoise(
+        scale=np.tile(sigma_px**2 * np.eye(4), (80, 1, 1)),
+        dof=np.full(80, np.inf),
+        bias=np.zeros((80, 4)),
+        refers_to="observation",
+        jitter_cov=np.diag([1e-4, 1e-3, 1e-4]) ** 2,
+    )
+    prev, curr = matches(rng, 80, noise.scale)
+    curr[:, 2:] += jitter_offsets(curr, CAMERA) @ np.array([0.0, yaw_rad, 0.0])
+    motion = pv.estimate_motion(prev, curr, noise, CAMERA)
+    assert motion.status is pv.Status.OK
+    assert motion.num_used >= 78
+    assert normalized_error_squared(T_TRUE, motion.T_curr_prev, motion.cov) < 22.5
 
 
 def test_the_covariance_is_consistent() -> None:

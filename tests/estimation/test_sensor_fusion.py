@@ -12,9 +12,10 @@ from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
-from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
+from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations
 from probevo.geometry import se3, so3
 from probevo.measurements import Measurement, pose_of
+from probevo.measurements.base import large_from
 from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH, attitude_of_enu
@@ -93,7 +94,7 @@ def fuse(
     for index, step in enumerate(steps, start=1):
         fusion = fusion.after(step)
         readings = [sensor.read(index) for sensor in sensors]
-        fusion, outcome = fusion.updated(readings, pose_of(index), north, motion_squared={})
+        fusion, outcome = fusion.updated(readings, pose_of(index), north, of_motion={})
         states.append(fusion)
         outcomes.append(outcome)
     return states, outcomes
@@ -271,8 +272,18 @@ def test_the_innovation_of_a_solve_is_that_before_it() -> None:
     # The residual falls as J grows: e(Exp(ξ) T) = e + J ξ, so the update is against it.
     T_after = se3.exp(-gain @ innovation) @ T_prior
     cov = (np.eye(6) - gain @ J) @ P
-    (squared,) = motion_innovations_squared([one], T_after, pose_of(0), cov=cov)
+    ((squared, weight),) = motion_innovations([one], T_after, pose_of(0), cov=cov)
+    assert weight == 1.0
     assert squared == pytest.approx(float(innovation @ innovation) / S.item(), rel=0.02)
+
+
+def test_a_measurement_of_the_motion_has_the_weight_of_the_solve() -> None:
+    """Wheels that slip by a metre, ten standard deviations, hardly count."""
+    one = TravelledDistance(2.0, 0.1, pose_of(0)).bounded()
+    (residual,) = one.residual({pose_of(0): FORWARD})
+    ((_, weight),) = motion_innovations([one], FORWARD, pose_of(0), cov=1e-4 * np.eye(6))
+    assert weight == pytest.approx((large_from(1) / (residual / 0.1) ** 2) ** 2)
+    assert weight < 0.01
 
 
 WHEEL_SIGMA_M = 0.02

@@ -94,6 +94,14 @@ class RigJitter:
         return replace(self, cov=cov, frames=frames)
 
 
+def common_sigma_px(jitter_cov: FloatArray | None, camera: StereoCamera) -> float:
+    """Return the standard deviation of the offset between two frames that all u_r have in common,
+    by the yaw of a jitter of covariance S, [3, 3], rad²; 0 without one, px."""
+    if jitter_cov is None:
+        return 0.0
+    return camera.fu_px * float(np.sqrt(2.0 * jitter_cov[1, 1]))
+
+
 def jitter_offsets(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return ∂(u_r, v_r)/∂ω at N observations, [N, 4] to [N, 2, 3], px/rad."""
     offsets = np.empty((len(pixels), 2, 3))

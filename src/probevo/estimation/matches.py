@@ -8,13 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
 from probevo.estimation.feature_weights import INLIER_FROM, LEAST_TAIL, tail_probability_of
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.ransac import InlierThreshold, find_consensus
-from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.estimation.reprojection import (
+    ReprojectionSolution,
+    eta_of_two_frames,
+    solve_reprojection,
+)
 from probevo.geometry import se3
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
@@ -77,13 +82,15 @@ def estimate_motion(
     if len(tracks) < MIN_MATCHES:
         return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
 
-    # Inliers and a start by RANSAC, with a threshold in px that matches of this noise pass.
+    # Inliers and a start by RANSAC, with thresholds in px that matches of this noise pass.
     consensus = find_consensus(
         tracks,
         camera,
         np.random.default_rng(seed),
         guess=start,
-        threshold=InlierThreshold(_threshold_px(of_matches)),
+        threshold=InlierThreshold(
+            _threshold_px(of_matches), common_sigma_px(of_matches.jitter_cov, camera)
+        ),
     )
     # From there each match is tested by its own noise, again and again as the motion improves. If
     # those within one threshold were kept instead, noisy matches would be cut off, and the
@@ -96,7 +103,7 @@ def estimate_motion(
         solution = _solved(tracks, of_matches, used, camera, T_curr_prev)
         T_curr_prev = solution.T_curr_prev
         used_before = used
-        used = _agree(tracks, of_matches, camera, T_curr_prev)
+        used = _agree(tracks, of_matches, camera, solution)
         if (used == used_before).all():
             break
     used = used_before  # by the last solve
@@ -140,12 +147,17 @@ def _solved(
 
 
 def _agree(
-    tracks: Tracks, noise: StereoNoise, camera: StereoCamera, T_curr_prev: FloatArray
+    tracks: Tracks, noise: StereoNoise, camera: StereoCamera, solution: ReprojectionSolution
 ) -> BoolArray:
-    """Return which matches are as near to a motion as their noise explains, [N]."""
+    """Return which matches are as near to a solve, to its motion and to its jitter of the rig, as
+    their noise explains, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
-    at_motion = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0)
-    squared = at_motion.squared
+    squared = solve_reprojection(
+        observations,
+        guess=solution.T_curr_prev,
+        eta=eta_of_two_frames(solution, observations),
+        max_iterations=0,
+    ).squared
     dof = np.broadcast_to(noise.dof, (len(tracks),))
     return (squared < BEHIND) & (tail_probability_of(squared, dof) > LEAST_TAIL)
 

@@ -41,7 +41,8 @@ MOST_GAPS = 10
 rate."""
 
 MAX_REFUSALS = 3
-"""Number of solves in a row that the gate may reject before the motion model itself is reset."""
+"""Number of solves that may be rejected, without an accepted one between them, before the motion
+model itself is reset."""
 
 GYRO_MISALIGNMENT_RAD = 0.02
 """Standard deviation of the gyro's mounting and of its scale, which its noise density omits."""
@@ -193,7 +194,8 @@ class MotionModel:
 
     @property
     def speed_is_unknown(self) -> bool:
-        """Whether there is no estimate of the velocity: at the start, or after a reset."""
+        """Whether there is hardly an estimate of the velocity: at the start, after a reset, or
+        after seconds of dead reckoning."""
         return bool(self._drifted_sigma(0.0)[2] > 0.5 * self.config.start_speed_m_s)
 
     @property
@@ -210,8 +212,8 @@ class MotionModel:
     ) -> DeadReckoning:
         """Return the motion of a step without an accepted solve: the prediction.
 
-        While the speed is unknown, the prediction is rest, and even a rejected solve is a better
-        guess. If a solve was rejected, either may be wrong, so the covariance covers both.
+        While the speed is unknown, the prediction tells little, and even a rejected solve is a
+        better guess. If a solve was rejected, either may be wrong, so the covariance covers both.
         """
         T_curr_prev = prediction.T_curr_prev
         cov = prediction.cov
@@ -280,15 +282,17 @@ class MotionModel:
             T_curr_usable: the motion, [4, 4].
             cov: its covariance, [6, 6].
         """
-        mean = self.after_solve(path_s, T_curr_usable, cov)
+        # A mean velocity tells little of the accelerations, so that their scale stays.
+        mean = replace(
+            self.after_solve(path_s, T_curr_usable, cov),
+            acceleration_scale=self.acceleration_scale,
+        )
         rate = self._with_step(duration_s)
         return replace(
             mean,
             twist_sigma_s=mean._drifted_sigma(0.5 * path_s),
             usual_step_s=rate.usual_step_s,
             gaps=rate.gaps,
-            # A mean velocity tells little of the accelerations.
-            acceleration_scale=self.acceleration_scale,
         )
 
     def after_dead_reckoning(
@@ -305,8 +309,9 @@ class MotionModel:
             duration_s: time between the two frames.
             prediction: what was predicted of its motion.
             T_curr_prev: its motion, [4, 4]: the prediction, or a rejected solve.
-            refused: whether there was a solve that failed the gate. After MAX_REFUSALS in a row
-                the model itself is wrong, and becomes as uncertain as at the start.
+            refused: whether there was a solve that was rejected. After MAX_REFUSALS without an
+                accepted one between them, the model itself is taken to be wrong, and becomes as
+                uncertain as at the start.
         """
         refusals = self.refusals + int(refused)
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity

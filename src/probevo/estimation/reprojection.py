@@ -118,6 +118,19 @@ class ReprojectionSolution:
         return self.cov if self.jitter is None else self.jitter.cov
 
 
+def eta_of_two_frames(
+    solution: ReprojectionSolution, observations: StereoObservations
+) -> FloatArray | None:
+    """Express the jitter of a solve in standard deviations of the jitter's prior for these two
+    frames alone, [6]; None without a jitter."""
+    if solution.jitter is None or observations.jitter is None:
+        return None
+    # Without the filter, the jitter of either frame has the prior N(0, S), of root L'.
+    root = observations.jitter.curr_root
+    both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
+    return np.linalg.solve(root, both).astype(float).T.ravel()
+
+
 def solve_reprojection(
     observations: StereoObservations,
     *,

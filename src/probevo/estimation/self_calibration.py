@@ -135,12 +135,16 @@ class SelfCalibratingEstimator:
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
         found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
-        if found.visual.status is Status.OK and is_noticeable(corrected.delay_s):
-            twist_s = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
+        rig = corrected.rig
+        is_late = rig is not None and is_noticeable(rig.delay.delay_s)
+        if found.visual.status is Status.OK and is_late:
             # A twist is the mean velocity of a step. Interpolate those of the last step and of this
-            # one to the velocities at its two frames.
+            # one to the velocities at its two frames; where that of the last step is not known, the
+            # delay has not been removed yet, and both are that of this step.
+            twist_s = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
+            change_s = twist_s - last_twist_s if corrected.delay_s != 0.0 else np.zeros(6)
             corrected = corrected.at_twists(
-                0.5 * (last_twist_s + twist_s), 1.5 * twist_s - 0.5 * last_twist_s, self._camera
+                twist_s - 0.5 * change_s, twist_s + 0.5 * change_s, self._camera
             )
             found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is not Status.OK:

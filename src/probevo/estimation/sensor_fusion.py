@@ -2,20 +2,21 @@
 
 A sensor may be wrong now and then, or all the time. Against single outliers, an innovation beyond
 the gate is rejected, and a large one is down-weighted (``bounded_weight``). Persistent faults are
-found by two sequential tests, both on measurements of the pose:
+found by two sequential tests:
 
-- **Offset.** A separate filter estimates a constant offset b of the sensor together with the pose.
-  Its covariance includes the drift of the odometry and the unknown heading of the first camera. If
-  b differs from zero with near certainty, the sensor is faulty.
+- **Offset.** For measurements of the pose, a separate filter estimates a constant offset b of the
+  sensor together with the pose. Its covariance includes the drift of the odometry and the unknown
+  heading of the first camera. If b differs from zero with near certainty, the sensor is faulty.
 - **Innovations.** If the sensor is consistent, its innovations are white and their squares χ². If
   they are larger, their cumulative sum above the expected value grows without bound (CUSUM, Page
   1954).
 
 For each sensor, a further filter estimates the pose from all others (solution separation, as in
 receivers of satellite navigation). When the sensor is excluded, that estimate replaces the pose, so
-that no influence of the faulty sensor remains. An excluded sensor does not come back.
+that no influence of its measurements of the pose remains. An excluded sensor does not come back.
 
-Measurements of the motion enter the solve of the step; only their innovations are tested.
+Measurements of the motion enter the solve of the step with a bounded loss. Only their innovations
+are tested, and the steps that they have entered stay as they are.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ class SensorMemory:
 
     name: str
     without: PoseFilter
-    """Estimate from all sensors that are not excluded, except this one."""
+    """Estimate from the motions and the measurements of the pose by all sensors that are not
+    excluded, except this one."""
     with_offset: PoseFilter
     """Estimate from all sensors, with the offset of this one as a further state."""
     sum_above: float = 0.0
@@ -98,7 +100,7 @@ class SensorFusion:
     pose: PoseFilter
     """Estimate from all sensors that are not excluded."""
     odometry: PoseFilter
-    """Estimate from no sensor at all."""
+    """Estimate from the motions alone."""
     memories: tuple[SensorMemory, ...] = ()
 
     @staticmethod
@@ -139,7 +141,7 @@ class SensorFusion:
         pose: Variable,
         north: NorthConfig,
         *,
-        motion_squared: Mapping[str, Sequence[float | None]],
+        of_motion: Mapping[str, Sequence[_Innovation]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
         """Update the pose with the measurements at a frame, and test each sensor.
 
@@ -147,8 +149,8 @@ class SensorFusion:
             readings: of each sensor, in order.
             pose: the pose of the frame.
             north: prior of the attitude of the world against north.
-            motion_squared: by sensor, the squared Mahalanobis distances of the innovations of its
-                measurements of the motion, which the solve has used.
+            of_motion: by sensor, the innovations of its measurements of the motion, which the solve
+                has used.
 
         Returns:
             The state after the update, and the outcome of each sensor.
@@ -169,12 +171,12 @@ class SensorFusion:
         for index, (memory, reading) in enumerate(zip(self.memories, readings, strict=True)):
             own = slice(start, start + len(measured[index]))
             start = own.stop
-            of_motion = () if memory.excluded is not None else reading.of_motion(pose)
-            squared = (*main.squared[own], *motion_squared.get(memory.name, ()))
-            weights = (*main.weights[own], *(1.0 for _ in of_motion))
+            innovations = () if memory.excluded is not None else of_motion.get(memory.name, ())
+            squared = (*main.squared[own], *(one.squared for one in innovations))
+            weights = (*main.weights[own], *(one.weight for one in innovations))
             outcomes.append(_outcome(memory, reading, squared, weights))
             if memory.excluded is None and weights:
-                dims = [_dimension(one) for one in (*measured[index], *of_motion)]
+                dims = [_dimension(one) for one in (*measured[index], *reading.of_motion(pose))]
                 others = _joined([*measured[:index], *measured[index + 1 :]])
                 memory = replace(
                     memory,
@@ -207,7 +209,7 @@ class SensorFusion:
         return after, tuple(outcomes)
 
     def without(self, index: int, reason: str) -> SensorFusion:
-        """Exclude a sensor: return the state as if it had never measured anything."""
+        """Exclude a sensor: return the state as if it had never measured the pose."""
         memories = []
         for at, memory in enumerate(self.memories):
             if at == index:
@@ -221,6 +223,15 @@ class SensorFusion:
             odometry=self.odometry,
             memories=tuple(memories),
         )
+
+
+class _Innovation(NamedTuple):
+    """Of a measurement of the motion."""
+
+    squared: float | None
+    """Squared Mahalanobis distance; None where it was not tested."""
+    weight: float
+    """Robust weight of the measurement in the solve."""
 
 
 class _Suspect(NamedTuple):
@@ -433,38 +444,38 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
     return total
 
 
-def solve_innovations_squared(
+def solve_innovations(
     readings: Sequence[Reading], curr: Variable, solution: ReprojectionSolution | None
-) -> dict[str, list[float | None]]:
-    """Return, by sensor, the squared Mahalanobis distances of its measurements of the motion.
+) -> dict[str, list[_Innovation]]:
+    """Return, by sensor, the innovations of its measurements of the motion.
 
-    Without a solve there is no innovation to test. A correction replaces the motion of the solve,
-    so it cannot be tested against it.
+    Without a solve there is none to test. A correction replaces the motion of the solve, so it
+    cannot be tested against it.
 
     Args:
         readings: of each sensor.
         curr: the pose of the current frame.
         solution: the solve, which has used the measurements of the motion; None if there is none.
     """
-    found: dict[str, list[float | None]] = {}
+    found: dict[str, list[_Innovation]] = {}
     for reading in readings:
         of_motion = reading.of_motion(curr)
-        found[reading.name] = [None] * len(of_motion)
+        found[reading.name] = [_Innovation(None, 1.0)] * len(of_motion)
         if solution is not None and not reading.corrects:
-            found[reading.name] = motion_innovations_squared(
+            found[reading.name] = motion_innovations(
                 of_motion, solution.T_curr_prev, curr, cov=solution.cov
             )
     return found
 
 
-def motion_innovations_squared(
+def motion_innovations(
     measurements: Sequence[Measurement],
     T_curr_prev: FloatArray,
     curr: Variable,
     *,
     cov: FloatArray,
-) -> list[float | None]:
-    """Return the squared Mahalanobis distances of the innovations of a solve's own measurements.
+) -> list[_Innovation]:
+    """Return the innovations of a solve's own measurements of the motion.
 
     The residuals after a solve that used a measurement are too small for a test. The innovation is
     recovered from them: with r the residual, R the covariance of the measurement over its weight,
@@ -482,20 +493,22 @@ def motion_innovations_squared(
     values = {variable: np.eye(4) for one in measurements for variable in one.variables}
     values[curr] = T_curr_prev
     information = np.linalg.inv(cov)
-    found: list[float | None] = []
+    found: list[_Innovation] = []
     for measurement in measurements:
-        found.append(None)
+        weight = float(measurement.outcome(values).weight.min())
+        found.append(_Innovation(None, weight))
         if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
             continue
         # r = R_w (R_w + J P Jᵀ)⁻¹ ν for the innovation ν, with R_w the covariance over the weight.
         jacobian = measurement.jacobians(values)[measurement.variables.index(curr)]
         R = measurement.covariance
-        used = R / max(float(measurement.outcome(values).weight[0]), 1e-12)
+        used = R / max(weight, 1e-12)
         without = information - jacobian.T @ np.linalg.solve(used, jacobian)
         if np.linalg.eigvalsh(without)[0] <= 0.0:
             continue  # no other measurement constrains what this one measures
         spread = jacobian @ np.linalg.solve(without, jacobian.T)
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
         # Tested with its own covariance R, not with that over the weight.
-        found[-1] = float(innovation @ np.linalg.solve(R + spread, innovation))
+        squared = float(innovation @ np.linalg.solve(R + spread, innovation))
+        found[-1] = _Innovation(squared, weight)
     return found

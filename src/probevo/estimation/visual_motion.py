@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
@@ -24,7 +25,11 @@ from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus
-from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.estimation.reprojection import (
+    ReprojectionSolution,
+    eta_of_two_frames,
+    solve_reprojection,
+)
 from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION, Measurement, Variable
@@ -255,7 +260,7 @@ class VisualEstimator:
             gyro=priors.gyro,
             config=self._config,
             rng=rng,
-            right_sigma_px=self._right_sigma_px(priors.jitter_cov),
+            right_sigma_px=common_sigma_px(priors.jitter_cov, self._camera),
         )
         clock.lap("consensus")
         if not are_enough(consensus.inliers, self._config):
@@ -331,7 +336,7 @@ class VisualEstimator:
         fitting = self._noise_that_fits(
             tracks,
             phi,
-            solution.T_curr_prev,
+            solution,
             jitter_cov=noise.jitter_cov,
             noise_factor=priors.noise_factor,
         )
@@ -410,7 +415,7 @@ class VisualEstimator:
         return solve_reprojection(
             observations,
             guess=solution.T_curr_prev,
-            eta=_of_two_frames(solution, observations),
+            eta=eta_of_two_frames(solution, observations),
             max_iterations=0,
         )
 
@@ -427,12 +432,13 @@ class VisualEstimator:
         self,
         tracks: Tracks,
         phi: FloatArray,
-        T_curr_prev: FloatArray,
+        solution: ReprojectionSolution,
         *,
         jitter_cov: FloatArray | None,
         noise_factor: float,
     ) -> _FittingNoise:
-        """Scale the noise to the residuals of N tracks at a motion, and return which agree then.
+        """Scale the noise to the residuals of N tracks at the motion and the jitter of a solve, and
+        return which agree then.
 
         None agree if the variances of the noise model would have to grow by more than
         ``LARGEST_SCALE``. Tracks that RANSAC rejected count, too. Those within its threshold are no
@@ -444,7 +450,12 @@ class VisualEstimator:
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
-        squared = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0).squared
+        squared = solve_reprojection(
+            observations,
+            guess=solution.T_curr_prev,
+            eta=eta_of_two_frames(solution, observations),
+            max_iterations=0,
+        ).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _scale_shown(squared, noise)
         agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
@@ -467,13 +478,6 @@ class VisualEstimator:
         if noise_factor == 1.0:
             return noise
         return noise.scaled(np.full(len(phi), noise_factor))
-
-    def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
-        """Return the standard deviation of the common offset of all u_r between two frames that the
-        yaw jitter of the rig causes, px."""
-        if jitter_cov is None:
-            return 0.0
-        return self._camera.fu_px * float(np.sqrt(2.0 * jitter_cov[1, 1]))
 
     def _confirmed(
         self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
@@ -524,19 +528,6 @@ def _scale_shown(squared: FloatArray, noise: StereoNoise) -> float:
     """
     dof = np.broadcast_to(noise.dof, (len(squared),))
     return max(1.0, scale_of_residuals(squared, dof))
-
-
-def _of_two_frames(
-    solution: ReprojectionSolution, observations: StereoObservations
-) -> FloatArray | None:
-    """Express the jitter of a solve in standard deviations of the jitter's prior for these two
-    frames alone, [6]; None without a jitter."""
-    if solution.jitter is None or observations.jitter is None:
-        return None
-    # Without the filter, the jitter of either frame has the prior N(0, S), of root L'.
-    root = observations.jitter.curr_root
-    both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
-    return np.linalg.solve(root, both).astype(float).T.ravel()
 
 
 def evaluate_status(

@@ -58,8 +58,8 @@ class Frame:
     """Position in the sequence, from 0. It may skip numbers, but not repeat any."""
     stamp_ns: int
     left: Image | None = None
-    """Rectified left image, [height, width], uint8. The odometry keeps it until the next frame: do
-    not write to it again."""
+    """Rectified left image, [height, width], uint8. The odometry keeps it, until a later frame is
+    solved: do not write to it again."""
     right: Image | None = None
     """Rectified right image, likewise."""
     features: StereoFeatures | None = None

@@ -159,10 +159,23 @@ def check_order(prev: Frame, curr: Frame) -> float:
             now = size_text(curr_image)
             what = f"its images are {now} px, not {size_text(prev_image)} px as before."
             raise InputError(where, what, "Keep to one size.")
-        if prev_image.ctypes.data == curr_image.ctypes.data:
-            what = (
-                "an image of it is in the same memory as that of the frame before, which is still"
-                " needed."
-            )
-            raise InputError(where, what, "Hand in a new array each time, such as image.copy().")
+    check_memory(prev, curr)
     return 1e-9 * (curr.stamp_ns - prev.stamp_ns)
+
+
+def check_memory(kept: Frame, curr: Frame) -> None:
+    """Check that a frame has its images in other memory than an earlier one that is still needed.
+
+    Raises:
+        InputError: it has not.
+    """
+    for kept_image, image in ((kept.left, curr.left), (kept.right, curr.right)):
+        if kept_image is None or image is None:
+            continue
+        if kept_image.ctypes.data == image.ctypes.data:
+            what = (
+                f"an image of it is in the same memory as that of frame {kept.index}, which is"
+                " still needed."
+            )
+            cure = "Hand in a new array each time, such as image.copy()."
+            raise InputError(f"frame {curr.index}", what, cure)
