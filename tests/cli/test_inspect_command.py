@@ -184,3 +184,4 @@ def test_bad_input_says_what_is_wrong(
         assert inspect(*words, "--out", tmp_path / "out") == 2, words
         assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert inspect(other, *model, "--any-camera", "--out", tmp_path / "out") == 0

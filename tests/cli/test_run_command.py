@@ -5,6 +5,7 @@ import re
 import shutil
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from probevo.noise import NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.output.motions_file import read_motions
+from probevo.output.ros import odometry_bag
 from probevo.run_config import RunConfig, read_config
 from probevo.runs.runner import run_sequence
 from probevo.sequences import open_sequence
@@ -234,6 +236,22 @@ def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path
     (recording / "poses.txt").unlink()
     assert main(["run", str(recording), "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == FILES - {"metrics.json"}
+
+
+def test_stale_results_go_although_the_bag_fails(
+    wall: Path, wall_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise ``eval`` would take the smoothed path of the earlier run for that of this one."""
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    assert (out / "trajectory.smoothed.tum").exists()
+
+    def failing(*_: Any, **__: Any) -> None:
+        raise InputError("o.mcap", "cannot be written.")
+
+    monkeypatch.setattr(odometry_bag, "write_odometry_bag", failing)
+    words = ["--estimator", "two-frame", "--write", str(tmp_path / "o.mcap")]
+    assert main(["run", str(wall), "--out", str(out), *words]) == 2
+    assert not list(out.glob("trajectory.smoothed.*"))
 
 
 @pytest.mark.parametrize("truth", [True, False])

@@ -1,9 +1,12 @@
 """The stereo observations of a frame as one measurement of two poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
+from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
 from probevo.measurements.base import PosePair, Values, pose_of, retract
 from probevo.measurements.robust_loss import LossName, RobustLoss
@@ -39,6 +42,22 @@ def observations_and_poses(
         loss=RobustLoss.named(loss),
     )
     return observations.propagated(values), values
+
+
+def test_a_feature_without_a_variance_leaves_least_squares_its_information() -> None:
+    """A learned model may give one a dof of 2, whose tails RANSAC has cut off."""
+    rng = np.random.default_rng(0)
+    tracks = seen_twice(rng, COUNT, sigma_px=0.2)
+    covs = []
+    for dof in (np.inf, 2.0):
+        noise = StudentT(5.0).predict(np.zeros((COUNT, 0)))
+        noise = replace(noise, dof=np.append(noise.dof[1:], dof))
+        observations = StereoObservations.of(
+            tracks.prev_px, tracks.curr_px, noise, camera=CAMERA, loss=RobustLoss.l2()
+        )
+        covs.append(solve_reprojection(observations, guess=FORWARD).cov)
+    assert np.isfinite(covs[1]).all()
+    np.testing.assert_allclose(covs[1], covs[0], rtol=0.1)
 
 
 @pytest.mark.parametrize("has_prev", [False, True])

@@ -45,6 +45,15 @@ def test_scale_and_dof_are_those_of_the_errors() -> None:
     assert model.dof_ == pytest.approx(3.0, abs=0.2)
 
 
+@pytest.mark.parametrize(("given", "expected"), [(None, 0.0), (0.4, 0.4)])
+def test_the_default_time_correlation_is_that_of_the_default_scale(
+    given: float | None, expected: float
+) -> None:
+    """What is fitted has none but one that was given."""
+    model = StudentT(time_correlation_ratio=given).fit(np.zeros((500, 0)), errors(500))
+    assert model.time_correlation_ratio == expected
+
+
 def test_every_feature_is_given_what_was_fitted() -> None:
     model = fitted()
     noise = model.predict(np.random.default_rng(1).normal(size=(3, 7)))

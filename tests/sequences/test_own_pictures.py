@@ -58,6 +58,10 @@ def rename(path: Path, side: str, names: list[str]) -> None:
         (["1520530308199", "1520530308249"], [1520530308199000000, 1520530308249000000]),
         (["1520530308.199447626", "1520530308.25"], [1520530308199447626, 1520530308250000000]),
         (["000000", "000001"], None),
+        (["0000000012.25", "0000000012.75"], None),
+        (["12.25", "12.75"], None),
+        (["20240131120000.123", "20240131120001.123"], None),
+        (["20240131_120059.900", "20240131_120100.000"], None),
         (["0000000000000007", "0000000000000008"], None),
         (["0000000000000007", "1520530308249000"], None),
         (["1520530308199447626", "7"], None),
@@ -92,13 +96,16 @@ def test_stamps_as_names_pair_the_images(tmp_path: Path) -> None:
     assert "1 left, 0 right" in dict(sequence.notes)["! pairs"]
 
 
-def test_the_samples_of_euroc_are_read_as_they_are(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_marked", [False, True])
+def test_the_samples_of_euroc_are_read_as_they_are(tmp_path: Path, is_marked: bool) -> None:
+    """Behind a byte order mark, too."""
     path = write_folder_sequence(tmp_path)
     before = open_sequence(path)
     lines = (path / "imu.csv").read_text("utf-8").splitlines()
     names = [f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"]
     names += [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
-    write_lines(path / "imu.csv", [",".join(["#timestamp [ns]", *names]), *lines[1:]])
+    mark = "\ufeff" if is_marked else ""
+    write_lines(path / "imu.csv", [mark + ",".join(["#timestamp [ns]", *names]), *lines[1:]])
     after = open_sequence(path)
     for frame, expected in zip(after, before, strict=True):
         assert (frame.imu is None) == (expected.imu is None)
@@ -106,6 +113,32 @@ def test_the_samples_of_euroc_are_read_as_they_are(tmp_path: Path) -> None:
             np.testing.assert_array_equal(frame.imu.gyro_rad_s, expected.imu.gyro_rad_s)
             np.testing.assert_array_equal(frame.imu.accel_m_s2, expected.imu.accel_m_s2)
     assert after.imu is not None
+
+
+def test_what_a_program_of_windows_has_saved_is_read(tmp_path: Path) -> None:
+    """Text that begins with a byte order mark."""
+    path = write_folder_sequence(tmp_path)
+    expected = open_sequence(path).stamps_ns
+    for name in ("calib.yaml", "times.txt", "imu.csv", "poses.txt"):
+        file = path / name
+        file.write_text(file.read_text("utf-8"), "utf-8-sig")
+    np.testing.assert_array_equal(open_sequence(path).stamps_ns, expected)
+
+
+def test_hidden_files_beside_the_images_are_none(tmp_path: Path) -> None:
+    """macOS leaves them on disks of other systems."""
+    path = write_folder_sequence(tmp_path)
+    expected = len(open_sequence(path))
+    for side in ("left", "right"):
+        names = sorted(image.name for image in (path / side).iterdir())
+        for name in names:
+            (path / side / f"._{name}").write_bytes(b"\0\5\26\7")
+    assert len(list(open_sequence(path))) == expected
+
+
+def test_whose_the_true_poses_are_is_no_answer_without_any(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--truth-of: .*--truth"):
+        open_sequence(write_folder_sequence(tmp_path), truth_of="imu")
 
 
 def test_cameras_that_are_not_triggered_together_may_be_given_more_time(tmp_path: Path) -> None:

@@ -184,6 +184,12 @@ def test_endings_in_capitals_are_recognised(tmp_path: Path) -> None:
     assert_refused(tmp_path / "drive.MCAP", words)
 
 
+def test_a_folder_that_must_not_be_looked_into_is_no_recording(tmp_path: Path) -> None:
+    """The system's error is not ENOENT; here it is that the name is too long."""
+    format = SequenceFormat("long", "a format", open=lambda path: path, folder_signs=("x" * 300,))
+    assert not format.recognises(tmp_path)
+
+
 @pytest.fixture
 def drone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording in the format ``drone``, which is registered for this test."""

@@ -46,6 +46,30 @@ def test_check_folder_creates_nothing(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_drive_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of Windows, where no parent of a folder need exist."""
+    monkeypatch.setattr(os.path, "lexists", lambda path: False)
+    with pytest.raises(InputError, match=r"--out: .* does not exist"):
+        files.check_folder(Path("/drive/out"), "--out")
+
+
+def test_a_folder_of_many_files_is_listed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = []
+    entries = Path.iterdir
+
+    def counted(folder: Path) -> Iterator[Path]:
+        listed.append(folder)
+        return entries(folder)
+
+    monkeypatch.setattr(Path, "iterdir", counted)
+    for k in range(20):
+        files.write_atomically(tmp_path / f"{k}.png", b"image")
+    assert len(listed) <= 1
+    assert len(names(tmp_path)) == 20
+
+
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 

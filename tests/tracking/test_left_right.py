@@ -45,13 +45,22 @@ def test_images_are_swapped_where_nearly_all_disparities_are_negative(
 
 
 def test_a_swapped_recording_is_refused_with_the_cure(tmp_path: Path) -> None:
-    """Which differs between a folder of images and a file of features."""
+    """Which differs between images, features, videos and bags."""
     check_left_right(100, 1, tmp_path)
     with pytest.raises(SwappedImagesError) as caught:
         check_left_right(3, 97, tmp_path)
     assert caught.value.what == "97 of the first 100 stereo matches have negative disparity."
-    assert caught.value.cure.endswith("Exchange the two image folders.")
-    file = tmp_path / "tracks.npz"
-    file.touch()
-    with pytest.raises(SwappedImagesError, match="Exchange columns 0 and 2"):
-        check_left_right(3, 97, file)
+    assert caught.value.cure.endswith("Exchange the two image folders, or the two videos.")
+    for name, cure in (
+        ("tracks.npz", "Exchange columns 0 and 2"),
+        ("drive.BAG", "Exchange --topics"),
+        ("drive.mcap", "Exchange --topics"),
+        ("drive.mp4", "Exchange the two halves"),
+    ):
+        file = tmp_path / name
+        file.touch()
+        with pytest.raises(SwappedImagesError, match=cure):
+            check_left_right(3, 97, file)
+    (tmp_path / "metadata.yaml").touch()  # a folder of ROS 2
+    with pytest.raises(SwappedImagesError, match="Exchange --topics"):
+        check_left_right(3, 97, tmp_path)

@@ -17,11 +17,13 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
-from probevo.predictors import Needs, Predictor, Step
+from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
+from probevo.training.settings import TrainSettings
+from probevo.training.sources import RecordingAt, checked_sources
 from probevo_sim.point_world import write_points
-from sequences.recordings import write_tracks
+from sequences.recordings import write_kitti_flow, write_tracks
 from training.supervised_drives import point_world, rmse_m, true_motions
 
 FRAMES = 16
@@ -546,6 +548,17 @@ def void(_: object) -> None:
 def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Path) -> None:
     twice = [*recordings, recordings[0]]
     refuse(twice, out, SETTINGS, f"{recordings[0].path}: this recording is named twice.")
+
+
+def test_two_scenes_of_one_folder_are_two_recordings(tmp_path: Path) -> None:
+    """But not one scene, named twice."""
+    folder = write_kitti_flow(tmp_path / "training", scenes=(3, 4))
+    recordings = [RecordingAt(folder, "kitti-flow", {"scene": scene}) for scene in (3, 4, 4)]
+    settings = TrainSettings(kind="student-t", supervision="none")
+    space = prediction_space(())
+    assert len(checked_sources(recordings[:2], settings, space)) == 2
+    with pytest.raises(InputError, match="named twice"):
+        checked_sources(recordings[1:], settings, space)
 
 
 def test_drives_too_short_for_two_folds_need_k_and_gamma(

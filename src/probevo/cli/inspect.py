@@ -169,7 +169,7 @@ def frame_view(
 
     reading = checked(arguments.reading)
     sequence = open_sequence(path, reading.format, **reading.format_options())
-    if model is not None:
+    if model is not None and not settings.any_camera:
         check_model_camera(str(arguments.model), model, sequence.camera)
     index = _frame_index(arguments.frame, len(sequence), path)
     if model is not None and model.columns:

@@ -46,8 +46,7 @@ class CalibratedMotion:
     common_mode: CommonMode
     """How errors of the calibration before the step move its motion."""
     jitter_cov: FloatArray | None
-    """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without
-    self-calibration."""
+    """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without any."""
 
     def accepted(self) -> MotionEstimate:
         """Return the motion of an accepted solve.
@@ -175,12 +174,13 @@ class SelfCalibratingEstimator:
                 clock=clock,
             )
             if rig is None or visual.two_frames_only is None:
+                learned = None if visual.noise is None else visual.noise.jitter_cov
                 return CalibratedMotion(
                     corrected,
                     visual,
                     rig=rig,
                     common_mode=CommonMode.none(),
-                    jitter_cov=jitter_cov,
+                    jitter_cov=learned if rig is None else jitter_cov,
                 )
             # What the solve shows of the rig; solve again if that is more jitter than the solve
             # assumed.

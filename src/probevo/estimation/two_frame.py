@@ -26,14 +26,10 @@ from probevo.estimation.feature_weights import INLIER_FROM, feature_weights
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.measurements.base import MOTION, Measurement, PosePair, Variable
 from probevo.measurements.point_priors import DisparityPrior
-from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.robust_loss import LEAST_VARIANCE_DOF, RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
-
-LEAST_ALIGNMENT_DOF = 3.0
-"""Least degrees of freedom for which an alignment, which takes noise as Gaussian, uses the variance
-of the Student-t. Heavier tails have a larger variance, or none, but RANSAC has cut them off."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +315,7 @@ class _Alignment:
                 "Take reprojection, or another noise model.",
             )
         # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
-        dof = np.maximum(noise.dof, LEAST_ALIGNMENT_DOF)
+        dof = np.maximum(noise.dof, LEAST_VARIANCE_DOF)
         cov = noise.scale / (1.0 - 2.0 / dof)[:, None, None]
         aligned = solve_alignment(
             tracks.prev_px,

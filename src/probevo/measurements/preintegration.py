@@ -167,7 +167,9 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     # A sample that is a mean over its interval may be given at both ends of it; it counts once.
     apart_ns = between_ns[np.abs(between_ns) > HELD_NS]
     num_samples = len(apart_ns) + min(len(covering), 1)
-    if num_samples < 2:
+    if num_samples == 0:
+        return "has no usable sample between two frames"
+    if num_samples == 1:
         return "has a single usable sample between two frames"
     # The longest time without a sample, at either end of the interval as well.
     hole_ns = max(

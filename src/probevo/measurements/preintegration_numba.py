@@ -127,6 +127,11 @@ def preintegrate_samples(
                 noisy[i, j] = B[i, j] * gyro_sigma
                 noisy[i, 3 + j] = B[i, 3 + j] * accel_sigma
         copy_into(sums.cov, np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T))
+        # B moves position and velocity by the mean force alone, δp = ½ dt δv, which gives δp the
+        # variance σ² dt³/4. That of white noise is σ² dt³/3: its mean does not tell all of δp.
+        # Without the rest, the covariance of a single sub-interval would be singular.
+        for i in range(6, 9):
+            sums.cov[i, i] += accel_density * accel_density * dt * dt * dt / 12.0
         # The sums themselves come last: A and B are those at the start of the sub-interval.
         acceleration = np.dot(middle, force)
         for i in range(3):

@@ -47,7 +47,8 @@ from probevo.measurements.jitter_numba import (
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
 from probevo.measurements.relative import relative_motion
-from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.robust_loss import LEAST_VARIANCE_DOF, RobustLoss
+from probevo.measurements.robust_loss_numba import LossKind
 from probevo.measurements.stereo_numba import (
     BEHIND,
     FeatureWeights,
@@ -438,7 +439,11 @@ class StereoObservations:
         count = len(self)
         expected_curvature = expected_scatter = 1.0
         if count:
-            curvatures, scatters = self.loss.moments(self.noise.dof)
+            # A single feature without a variance would leave least squares without information.
+            dof = self.noise.dof
+            if self.loss.kind is LossKind.L2:
+                dof = np.maximum(dof, LEAST_VARIANCE_DOF)
+            curvatures, scatters = self.loss.moments(dof)
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count
         # Σ b over Σ a. Bessel's correction for b: six degrees of freedom were fitted to the

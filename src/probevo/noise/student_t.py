@@ -44,8 +44,8 @@ class StudentT:
         training: settings, recordings and progress of the training, in plain values that JSON can
             hold.
         time_correlation_ratio: standard deviation of the disparity error that is common to both
-            frames, over that of the one that is independent in each. By default 0 for a given
-            scale. Noise that refers to the residual has none.
+            frames, over that of the one that is independent in each. By default 0 for a scale that
+            is given or fitted. Noise that refers to the residual has none.
         jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
             is not known. ``fit`` does not estimate it.
     """
@@ -64,6 +64,7 @@ class StudentT:
         jitter_cov: FloatArray | None = None,
     ) -> None:
         # The default ratio belongs to the default scale.
+        self._ratio_is_given = time_correlation_ratio is not None
         if time_correlation_ratio is None:
             is_default = scale is None and refers_to == "observation"
             time_correlation_ratio = TIME_CORRELATION_RATIO if is_default else 0.0
@@ -101,6 +102,8 @@ class StudentT:
         fitted = fit_static(np.asarray(residuals, dtype=np.float64), error_cov)
         self.scale_ = fitted.scale[0]
         self.dof_ = float(fitted.dof[0])
+        if not self._ratio_is_given:
+            self.time_correlation_ratio = 0.0
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:

@@ -380,10 +380,7 @@ def _write_results(
                 metrics=metrics,
                 thumbnails=pictures.drawn,
             )
-    if config.write is not None:
-        write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
-    if viewer is not None:
-        viewer.finish(result, truth)
+    # What an earlier run left does not belong to these results, whatever happens below.
     if result.smoothed is None:
         remove_stale(out / SMOOTHED_TUM)
         remove_stale(out / SMOOTHED_KITTI)
@@ -391,6 +388,10 @@ def _write_results(
         remove_stale(out / "metrics.json")
     if len(result) < 2:
         remove_stale(out / "report.html")
+    if config.write is not None:
+        write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
+    if viewer is not None:
+        viewer.finish(result, truth)
     return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
 
 

@@ -64,7 +64,7 @@ class FolderOptions(Settings):
     imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
     truth: Path | None = Field(None, description="Name a file of true poses in TUM's format.")
     truth_of: str | None = Field(
-        None, description="Name the frame of the true poses: camera, imu, or one of tf_static."
+        None, description="Name the frame of the true poses: camera or imu."
     )
     rate_hz: float | None = Field(
         None, gt=0.0, description="Frames a second of a folder without any times: positive."

@@ -62,7 +62,12 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(folder, "this image folder is missing.", _TWO_FOLDERS)
-    files = {path.name: path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
+    # Hidden files are none: macOS puts a ._img.png beside each img.png on foreign disks.
+    files = {
+        path.name: path
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    }
     if not files:
         raise InputError(
             folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}."

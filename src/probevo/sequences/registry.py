@@ -47,6 +47,14 @@ class NoOptions(Settings):
     """The options of a format that has none."""
 
 
+def _exists(path: Path) -> bool:
+    """Return whether a file exists; False, too, in a folder that must not be looked into."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 @dataclass(frozen=True)
 class SequenceFormat:
     """A recording format: how it is recognised, which options it takes, and who opens it."""
@@ -72,7 +80,7 @@ class SequenceFormat:
         if path.is_dir():
             signs: list[tuple[str, ...]] = [(sign,) for sign in self.folder_signs]
             signs += self.folder_sign_pairs
-            return any(all((path / name).exists() for name in sign) for sign in signs)
+            return any(all(_exists(path / name) for name in sign) for sign in signs)
         return path.suffix.lower() in self.file_suffixes
 
     def check_kind(self, path: Path) -> None:
@@ -253,7 +261,9 @@ _BUILT_IN = (
     SequenceFormat(  # before folder, whose calib.yaml it has, too
         name="video",
         summary="a video with left and right image side by side, or a folder with two videos",
-        folder_signs=tuple(f"left{suffix}" for suffix in VIDEO_SUFFIXES),
+        folder_signs=tuple(
+            f"left{ending}" for suffix in VIDEO_SUFFIXES for ending in (suffix, suffix.upper())
+        ),
         file_suffixes=VIDEO_SUFFIXES,
         open=_open_video,
         options=VideoOptions,

@@ -16,6 +16,8 @@ NS_PER_S = 1_000_000_000
 NAME_STAMP = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<decimals>[0-9]+))?$")
 NS_OF_DIGITS = {13: 1_000_000, 16: 1_000, 19: 1}
 """Unit of a whole Unix time by its number of digits, which holds from 2001 to 2286."""
+SECONDS_DIGITS = 10
+"""Digits of a Unix time in seconds, in the same years."""
 SMALLEST_EXPONENT = -100
 LARGEST_EXPONENT = 9
 """Powers of ten of the smallest plausible time other than 0, s, and of the largest that int64 ns
@@ -66,9 +68,9 @@ def read_datetimes(path: Path, count: int) -> IntArray:
 def stamps_of_names(files: list[Path]) -> IntArray | None:
     """Return the times that the names of files are, [K], ns; None if they are no stamps.
 
-    A stamp is the number at the end of the name: Unix time in seconds with decimals, or as a whole
-    number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files. A whole number that begins
-    with 0 is the number of a frame.
+    A stamp is the number at the end of the name: Unix time in seconds, of 10 digits, with decimals,
+    or as a whole number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files. A number
+    that begins with 0 is that of a frame, and one of other digits may be a date.
     """
     numbers = [NAME_STAMP.search(file.stem) for file in files]
     found = [number for number in numbers if number is not None]
@@ -78,10 +80,14 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     has_decimals = {number["decimals"] is not None for number in found}
     if len(num_digits) > 1 or len(has_decimals) > 1:
         return None
+    if any(number["whole"].startswith("0") for number in found):
+        return None
     if has_decimals == {True}:
+        if num_digits != {SECONDS_DIGITS}:
+            return None
         return np.array([round(Decimal(number[0]) * NS_PER_S) for number in found], dtype=np.int64)
     unit_ns = NS_OF_DIGITS.get(num_digits.pop())
-    if unit_ns is None or any(number["whole"].startswith("0") for number in found):
+    if unit_ns is None:
         return None
     return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
 

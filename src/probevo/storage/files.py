@@ -14,6 +14,7 @@ import stat
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from tokenize import TokenError
 from zipfile import BadZipFile
@@ -71,10 +72,13 @@ def check_folder(folder: Path, option: str) -> None:
         option: the flag that names the folder, for the message.
 
     Raises:
-        InputError: the path leads through a file, or the nearest existing folder is not writable.
+        InputError: the path leads through a file, the nearest existing folder is not writable, or
+            there is none.
     """
     place = folder.absolute()
     while not os.path.lexists(place):
+        if place == place.parent:  # such as a drive of Windows that is not there
+            raise InputError(option, f"{place} does not exist.", CHOOSE_ANOTHER)
         place = place.parent
     if not place.is_dir():
         raise InputError(option, f"{place} is a file.", CHOOSE_ANOTHER)
@@ -100,7 +104,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     partial = _partial(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(path)
+        _remove_abandoned(path.parent.absolute())
         with partial.open("xb") as file:  # x: follows no link, and opens no file of others
             file.write(data)
         partial.replace(path)
@@ -128,7 +132,7 @@ def written_together(folder: Path) -> Iterator[Path]:
     target = folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(place)
+        _remove_abandoned(folder.absolute())
         partial.mkdir()
     except OSError as error:
         raise InputError(folder, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
@@ -156,12 +160,16 @@ def _host() -> str:
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 
-def _remove_abandoned(path: Path) -> None:
-    """Remove the temporary files of ``path`` whose process on this host was killed."""
+@cache
+def _remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files of a folder whose process on this host was killed.
+
+    Once a process: a folder may hold a hundred thousand images, each written by itself.
+    """
     if os.name != "posix":  # elsewhere, there is no harmless way to ask for a process
         return
-    pattern = re.compile(rf"{re.escape(path.name)}\.{_host()}-(\d{{1,9}})-[0-9a-f]{{8}}\.part")
-    for other in path.parent.iterdir():
+    pattern = re.compile(rf".+\.{_host()}-(\d{{1,9}})-[0-9a-f]{{8}}\.part")
+    for other in folder.iterdir():
         match = pattern.fullmatch(other.name)
         if match is None or _is_running(int(match[1])):
             continue

@@ -64,7 +64,13 @@ def check_left_right(num_positive: int, num_negative: int, where: str | Path) ->
 
 
 def exchange(recording: str | Path) -> str:
-    """Say how to exchange left and right: a recording that is a file holds features, not images."""
-    if Path(recording).is_file():
+    """Say how to exchange left and right in a recording of this name."""
+    path = Path(recording)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
         return "Exchange columns 0 and 2, and 1 and 3, of uv."
-    return "Exchange the two image folders."
+    if suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file():
+        return "Exchange --topics.left and --topics.right."
+    if path.is_file():
+        return "Exchange the two halves of the images."
+    return "Exchange the two image folders, or the two videos."

@@ -75,19 +75,21 @@ def checked_sources(
             twice, or has another camera than the first.
     """
     sources: list[Source] = []
-    paths: set[Path] = set()
+    seen: set[tuple[Path, str, str]] = set()
     for recording in recordings:
         sequence = opened(recording)
 
         # Named twice, it would weigh twice.
+        options = sorted(recording.options.items()) if isinstance(recording, RecordingAt) else []
         path = sequence.path.resolve()
-        if path in paths:
+        identity = (path, sequence.format, repr(options))  # a folder may hold several, as scenes
+        if identity in seen:
             raise InputError(
                 sequence.path,
                 "this recording is named twice.",
                 "Name each once: it would count double.",
             )
-        paths.add(path)
+        seen.add(identity)
 
         # It must serve the predictors, and have the camera of the others: noise in pixels depends
         # on the camera.

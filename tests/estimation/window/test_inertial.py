@@ -649,7 +649,7 @@ def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run)
     expected = {
         ImuStatus.USED: (used, True, True),
         ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
-        ImuStatus.WAITING: (untested, True, True),
+        ImuStatus.WAITING: (untested, True, False),
         ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
         ImuStatus.LEFT_OUT: (used.without_states("", refused=True), False, False),
     }

@@ -10,6 +10,7 @@ from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
 from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.comparison.learning_gain import learning_gains
+from probevo.output.comparison.significance import rank
 from probevo.output.run_result import RunResult
 
 TURNS = {"good": 0.0, "usual": 0.001, "same": 0.001, "bad": 0.004}
@@ -30,6 +31,26 @@ def comparison(run: RunResult, *, has_truth: bool = True) -> Comparison:
         turned = replace(run, T_curr_prev=motions, T_world_cam=se3.chain_motions(motions))
         entries.append(entry(name, turned, run.T_world_cam if has_truth else None))
     return Comparison(tuple(entries))
+
+
+def test_comparisons_of_noise_hardly_find_a_difference(
+    make_run: Callable[..., RunResult],
+) -> None:
+    """The best of six equally good runs, chosen by the errors that are tested."""
+    run = make_run(40)
+    found = 0
+    for seed in range(40):
+        rng = np.random.default_rng([7, seed])
+        motions = {}
+        errors = {}
+        for name in "abcdef":
+            noise = rng.normal(0.0, 0.001, (39, 6))
+            motions[name] = se3.exp(noise) @ run.T_curr_prev
+            noisy = se3.chain_motions(motions[name])
+            errors[name] = {"final_error_m": evaluate(noisy, run.T_world_cam).final_error_m}
+        ranking = rank(motions, errors, run.T_world_cam)["final_error_m"]
+        found += any(one.is_significant for one in ranking.against.values())
+    assert found <= 6  # of 2 that are expected, with a probability of 99.5 %
 
 
 def test_gains_and_losses_are_both_said(make_run: Callable[..., RunResult]) -> None:

@@ -14,6 +14,7 @@ from probevo.arrays import Image
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.sequences import Sequence, open_sequence
+from probevo.sequences.formats import video
 from probevo.sequences.images import read_gray
 
 FRAMES = 6
@@ -81,6 +82,30 @@ def test_what_was_written_is_read_back(kind: str, wall: Path, tmp_path: Path) ->
     np.testing.assert_array_equal(sequence.stamps_ns, expected_ns)
     assert_same_images(sequence, wall)
     assert_same_images(sequence, wall)
+
+
+def test_endings_in_capitals_are_those_of_videos(wall: Path, tmp_path: Path) -> None:
+    folder = two_files(wall, tmp_path / "video")
+    for side in ("left", "right"):
+        (folder / f"{side}.mkv").rename(folder / f"{side}.MKV")
+    assert_same_images(open_sequence(folder), wall)
+
+
+def test_times_that_do_not_ascend_are_reported(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = video._content
+
+    def repeated(path: Path) -> video._Content:
+        found = content(path)
+        found.times_ms[3] = found.times_ms[2]
+        return found
+
+    monkeypatch.setattr(video, "_content", repeated)
+    sequence = open_sequence(side_by_side(wall, tmp_path / "video"))
+    np.testing.assert_array_equal(np.diff(sequence.stamps_ns), 80_000_000)
+    text = dict(sequence.notes)["! times"]  # type: ignore[attr-defined]
+    assert text == "of the container, do not ascend; 12.5 Hz of its header instead"
 
 
 def test_a_rate_takes_the_place_of_the_containers_times(wall: Path, tmp_path: Path) -> None:

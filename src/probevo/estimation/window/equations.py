@@ -49,7 +49,8 @@ class WindowObservations(NamedTuple):
     slot: IntArray
     """Place of each observation's frame in the window, [M]."""
     pixels: FloatArray
-    """(u_l, v_l, u_r, v_r), [M, 4], px; rows corrected by the rig's calibration."""
+    """(u_l, v_l, u_r, v_r), [M, 4], px, corrected by the rig's calibration but for its disparity
+    error b, and by the accumulated bias of the noise model."""
     root: FloatArray
     """Cholesky factor G of R⁻¹ = G Gᵀ, with the scale matrix R of each at its own time, [M, 4, 4],
     px⁻¹."""

@@ -249,7 +249,7 @@ def trusts_gyro(window: Window | None) -> bool:
     """
     if window is None or window.inertial is None:
         return True
-    return window.inertial.status not in (ImuStatus.TESTING, ImuStatus.LEFT_OUT)
+    return window.inertial.status in (ImuStatus.UNUSABLE, ImuStatus.USED)
 
 
 def may_bridge(window: Window) -> bool:
@@ -500,7 +500,13 @@ def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     reason = fit.reason_against(LARGEST_EXCESS)
     if not reason:
         states = with_gravity_of_known_length(fit.states)
-        used = replace(inertial, states=states, noise_factor=max(1.0, fit.excess), note="")
+        # The factors that were tested have the noise that the test has shown, as later ones have.
+        excess = max(1.0, fit.excess)
+        noisier = tuple(
+            None if factor is None else replace(factor, cov=excess * factor.cov)
+            for factor in inertial.factors
+        )
+        used = replace(inertial, states=states, factors=noisier, noise_factor=excess, note="")
         return replace(window, inertial=used)
     # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1

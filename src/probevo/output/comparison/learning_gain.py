@@ -41,8 +41,8 @@ def learning_gains(
         runs = {entry.estimator: entry for entry in comparison.of(name)}
         for estimator in learned:
             if baseline in runs and estimator in runs:
-                # All comparisons with the baseline hold together (Bonferroni).
-                confidence = 1.0 - (1.0 - CONFIDENCE) / len(learned)
+                # All comparisons with the baseline, by each error, hold together (Bonferroni).
+                confidence = 1.0 - (1.0 - CONFIDENCE) / (len(learned) * len(_NAMES))
                 found = _differences(runs[estimator], runs[baseline], confidence)
                 if found:
                     sentences.append(f"{name}: against {baseline}, {estimator} {_changes(found)}.")

@@ -11,7 +11,8 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.paired_test import PairedDifference, paired_differences
 
 CONFIDENCE = 0.95
-"""Probability that none of the differences that are called significant is noise."""
+"""Probability that, by one error on one recording, none of the differences that are called
+significant is noise."""
 SEED = 0
 """Seed of the random exchanges, so that the same runs give the same result."""
 
@@ -49,8 +50,10 @@ def rank(
     Returns:
         By the name of the error; those that are not defined, or cannot be tested, are left out.
     """
-    # All comparisons with the best hold together at the confidence (Bonferroni).
-    confidence = 1.0 - (1.0 - CONFIDENCE) / (len(motions) - 1)
+    # All comparisons hold together at the confidence (Bonferroni). Since the best is chosen by the
+    # same errors, these are those of all pairs, although only those with the best are made.
+    num_pairs = len(motions) * (len(motions) - 1) // 2
+    confidence = 1.0 - (1.0 - CONFIDENCE) / num_pairs
     rankings = {}
     tested: dict[tuple[str, str], dict[str, PairedDifference]] = {}
     for error in next(iter(errors.values())):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,10 +196,15 @@ def _read_truth(
     """Read the true poses: of the file that the user names, or of ``poses.txt``; None without.
 
     Raises:
-        InputError: the file is faulty, or knows no pose of the frames.
+        InputError: the file is faulty, or knows no pose of the frames; or ``truth_of`` is given
+            without a file.
     """
     if options.truth is not None:
         return truth_of_file(options.truth, stamps_ns, truth_of=options.truth_of, imu=imu)
+    if options.truth_of is not None:
+        what = "says whose poses those of --truth are, which is not given."
+        cure = "Name the file with --truth; those of poses.txt are the left camera's."
+        raise InputError("--truth-of", what, cure)
     poses = path / "poses.txt"
     return read_kitti_truth(poses, stamps_ns) if poses.exists() else None
 
@@ -380,5 +386,5 @@ def _is_of_euroc(samples: Path) -> bool:
     if not samples.is_file():
         return False  # whoever reads it says that it is missing
     with samples.open("rb") as file:
-        start = file.read(len(EUROC_IMU_HEADER))
-    return start == EUROC_IMU_HEADER.encode()
+        start = file.read(len(codecs.BOM_UTF8) + len(EUROC_IMU_HEADER))
+    return start.removeprefix(codecs.BOM_UTF8).startswith(EUROC_IMU_HEADER.encode())

@@ -136,7 +136,8 @@ def _read_oxts(folder: Path) -> tuple[IntArray, FloatArray]:
     Raises:
         InputError: there are fewer than two packets, or a packet or stamp is faulty.
     """
-    files = sorted((folder / "data").glob("*.txt"), key=lambda file: natural_order(file.name))
+    found = (folder / "data").glob("[!.]*.txt")  # not macOS's ._ files
+    files = sorted(found, key=lambda file: natural_order(file.name))
     if len(files) < 2:
         raise InputError(folder / "data", f"{len(files)} OXTS packets; at least 2 are needed.")
     stamps_ns = read_datetimes(folder / "timestamps.txt", len(files))

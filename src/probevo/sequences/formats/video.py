@@ -109,9 +109,9 @@ def open_video(path: Path, options: VideoOptions | None = None) -> VideoRecordin
     if options.rate_hz is not None:
         stamps_ns = evenly_spaced(count, options.rate_hz)
     else:
-        stamps_ns = check_stamps(_stamps(files[0], contents[0])[:count], files[0])
-        rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
-        notes = (*notes, ("times", f"of the container, {rate_hz:.4g} Hz in the median"))
+        stamps_ns, note = _stamps(files[0], contents[0])
+        stamps_ns = check_stamps(stamps_ns[:count], files[0])
+        notes = (*notes, note)
     return VideoRecording(
         path=path,
         format="video",
@@ -205,17 +205,23 @@ def _content(path: Path) -> _Content:
         return _Content(video.size_px, times_ms, video.rate_hz)
 
 
-def _stamps(path: Path, content: _Content) -> IntArray:
-    """Return the times of the frames as the container has them, ns.
+def _stamps(path: Path, content: _Content) -> tuple[IntArray, tuple[str, str]]:
+    """Return the times of the frames, ns, and what there is to report of them.
+
+    Those of the container are taken if they ascend; otherwise the frames are equally spaced, at the
+    rate of its header.
 
     Raises:
         InputError: it has none.
     """
     times_ms = np.array(content.times_ms)
     if np.isfinite(times_ms).all() and (np.diff(times_ms) > 0.0).all():
-        return np.round(1e6 * times_ms).astype(np.int64)
+        rate_hz = 1e3 / float(np.median(np.diff(times_ms)))
+        note = ("times", f"of the container, {rate_hz:.4g} Hz in the median")
+        return np.round(1e6 * times_ms).astype(np.int64), note
     if content.rate_hz > 0.0:
-        return evenly_spaced(len(times_ms), content.rate_hz)
+        text = f"of the container, do not ascend; {content.rate_hz:.4g} Hz of its header instead"
+        return evenly_spaced(len(times_ms), content.rate_hz), ("! times", text)
     raise InputError(path, "the container has no times.", "Give them: --rate-hz.")
 
 
@@ -227,8 +233,11 @@ def _two_files(folder: Path) -> tuple[Path, Path]:
     """
     found = []
     for side in ("left", "right"):
-        files = [folder / f"{side}{suffix}" for suffix in VIDEO_SUFFIXES]
-        files = [file for file in files if file.is_file()]
+        wanted = {f"{side}{suffix}" for suffix in VIDEO_SUFFIXES}
+        # In capitals, too, but only the ending: some cameras write left.MP4.
+        files = [
+            file for file in sorted(folder.iterdir()) if file.stem + file.suffix.lower() in wanted
+        ]
         if len(files) != 1:
             names = ", ".join(file.name for file in files) or "none"
             what = f"it should hold one video called {side}; found {names}."
