@@ -238,6 +238,21 @@ def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path
     assert {path.name for path in out.iterdir()} == FILES - {"metrics.json"}
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_what_of_the_recording_is_not_used_is_said(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    (recording / "times.txt").unlink()
+    (recording / "poses.txt").unlink()
+    for side in ("left", "right"):
+        for k, image in enumerate(sorted((recording / side).iterdir())):
+            image.rename(image.with_name(f"{1_600_000_000_000 + 100 * k}.png"))
+    (recording / "right" / "1600000000300.png").unlink()
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
+    assert re.search("probevo: warning: pairs: .*1 left, 0 right", capsys.readouterr().err)
+
+
 def test_stale_results_go_although_the_bag_fails(
     wall: Path, wall_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

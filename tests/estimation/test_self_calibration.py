@@ -91,6 +91,23 @@ def test_without_self_calibration_there_is_neither_rig_nor_common_mode() -> None
     assert not found.common_mode.columns.any()
 
 
+def test_a_jitter_that_the_noise_model_has_learned_is_that_of_the_solve() -> None:
+    """Without self-calibration, too, so that a window knows of it."""
+    cov = np.diag([1e-4, 2e-4, 1e-4]) ** 2
+    visual = VisualEstimator(CAMERA, StudentT(jitter_cov=cov), CONFIG, predicts_from_motion=False)
+    tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
+    found = SelfCalibratingEstimator(CAMERA, visual).estimate(
+        CorrectedTracks.of(tracks, None, CAMERA, prev_twist_s=TWIST_S, curr_twist_s=TWIST_S),
+        np.zeros((len(tracks), 0)),
+        MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
+        last_twist_s=TWIST_S,
+        duration_s=DURATION_S,
+        seed=(0, 1),
+        clock=StageClock(),
+    )
+    np.testing.assert_array_equal(found.jitter_cov, cov)
+
+
 def test_more_jitter_than_expected_is_solved_again() -> None:
     """With what the tracks show of it, and no more often than it may."""
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.1)

@@ -131,6 +131,29 @@ def _held(rates: FloatArray, forces: FloatArray) -> ImuSamples:
     return ImuSamples(stamps_ns, gyro, np.repeat(forces, 2, axis=0) @ C_CAM_IMU)
 
 
+def test_covariance_of_a_single_sub_interval_is_that_of_white_noise() -> None:
+    """The mean force does not tell where the position ends: with samples at both ends only, the
+    variances of δv and δp are σ² t and σ² t³/3, and the covariance is regular."""
+    ends = [0, -1]
+    whole = samples(np.zeros(3), np.array([0.5, -9.0, 2.0]))
+    found = preintegrate(
+        ImuSamples(
+            START_NS + np.array([0, 5_000_000]), whole.gyro_rad_s[ends], whole.accel_m_s2[ends]
+        ),
+        START_NS,
+        START_NS + 5_000_000,
+        CALIBRATION,
+        bias=np.zeros(6),
+    )
+    assert isinstance(found, Preintegration)
+    density = CALIBRATION.accel_noise_m_s2_sqrt_hz
+    # The gyro's noise moves them by 1e-6 of that.
+    np.testing.assert_allclose(np.diag(found.cov)[3:6], density**2 * 0.005, rtol=1e-2)
+    np.testing.assert_allclose(np.diag(found.cov)[6:9], density**2 * 0.005**3 / 3.0, rtol=1e-2)
+    sigma = np.sqrt(np.diag(found.cov))
+    assert np.linalg.eigvalsh(found.cov / np.outer(sigma, sigma)).min() > 0.01
+
+
 def test_covariance_grows_as_the_samples_average() -> None:
     """White noise of the rate turns by σ √T, whatever the sample period."""
     found = integrated(samples(np.zeros(3), np.zeros(3)))

@@ -71,6 +71,8 @@ def main(words: list[str]) -> None:
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    for warning in reader_warnings(sequence):
+        print(f"probevo: warning: {warning}", file=sys.stderr)
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
     lines = summary(run, arguments.out, written_besides(settings))
     print("\n".join(lines), flush=True)
@@ -79,6 +81,12 @@ def main(words: list[str]) -> None:
     if arguments.strict and status_warning(run.result.status):
         what = "less than half of the steps are OK, which --strict refuses."
         raise InputError(arguments.sequence, what, f"The results are in {arguments.out}.")
+
+
+def reader_warnings(sequence: Sequence) -> list[str]:
+    """Return what the reader could not use of a recording, such as its IMU, a sentence each."""
+    notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
+    return [f"{name[1:].strip()}: {text}" for name, text in notes if name.startswith("!")]
 
 
 def _defaults(words: list[str]) -> RunArguments:

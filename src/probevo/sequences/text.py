@@ -12,6 +12,8 @@ from probevo.errors import InputError, brief
 from probevo.storage.files import check_regular
 
 INT64_LIMIT = 2**63
+IMU_COLUMNS = 6
+"""Values of an IMU sample: angular rate and specific force."""
 LARGEST_TEXT_BYTES = 1_000_000_000
 """Ten hours of an IMU at 200 Hz take 0.7 GB."""
 
@@ -29,7 +31,7 @@ def read_text(path: Path, cure: str = "", *, most_bytes: int = LARGEST_TEXT_BYTE
     """
     check_regular(path, most_bytes)
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # some programs begin with a byte order mark
     except FileNotFoundError:
         raise InputError(path, "this file is missing.", cure) from None
     except (OSError, UnicodeDecodeError) as error:
@@ -129,6 +131,8 @@ def read_stamped_csv(
 ) -> tuple[IntArray, FloatArray]:
     """Read a comma-separated table whose first column is a stamp in ns.
 
+    Six values are a sample of an IMU, whose specific force is NaN if it has no accelerometer.
+
     Args:
         path: the file; lines that start with # are comments.
         columns: number of values to read after the stamp; further values are ignored if no header
@@ -154,5 +158,21 @@ def read_stamped_csv(
         if len(fields) < columns + 1 or (header is not None and len(fields) > columns + 1):
             raise InputError(where, f"this line has {len(fields)} values; expected {columns + 1}.")
         stamps.append(parse_stamp_ns(fields[0], where))
-        rows.append(parse_floats(fields[1 : columns + 1], where))
+        values = fields[1 : columns + 1]
+        is_imu = columns == IMU_COLUMNS
+        rows.append(_parse_sample(values, where) if is_imu else parse_floats(values, where))
     return np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, columns)
+
+
+def _parse_sample(texts: list[str], where: str) -> list[float]:
+    """Parse angular rate, rad/s, and specific force, m/s², of an IMU: six numbers.
+
+    Raises:
+        InputError: a text is no number, or a value is not finite; the force may be NaN as a whole.
+    """
+    rate_rad_s = parse_floats(texts[:3], where)
+    force_m_s2 = parse_floats(texts[3:], where, nan_allowed=True)
+    if len({math.isnan(number) for number in force_m_s2}) > 1:
+        what = "some of the three accelerations are nan."
+        raise InputError(where, what, "Without an accelerometer, all three are.")
+    return rate_rad_s + force_m_s2

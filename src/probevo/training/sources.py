@@ -80,9 +80,10 @@ def checked_sources(
         sequence = opened(recording)
 
         # Named twice, it would weigh twice.
-        options = sorted(recording.options.items()) if isinstance(recording, RecordingAt) else []
         path = sequence.path.resolve()
-        identity = (path, sequence.format, repr(options))  # a folder may hold several, as scenes
+        # A folder may hold several, such as scenes, which an option chooses from.
+        chosen = sorted(recording.options.items()) if isinstance(recording, RecordingAt) else []
+        identity = (path, sequence.format, repr(chosen))
         if identity in seen:
             raise InputError(
                 sequence.path,

@@ -587,6 +587,39 @@ def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
     assert not any(estimate.imu_left_out for estimate in estimates)
 
 
+def test_samples_that_end_are_said_for_as_long_as_they_are_missed() -> None:
+    """Also once no interval of the window has any."""
+    frames, _ = drive_of(44, 24)
+    by = odometry(frames=4)
+    estimates = [
+        by.step(frame if frame.index < 12 else replace(frame, imu=None)) for frame in frames
+    ]
+    assert not estimates[11].imu_left_out
+    assert all(estimate.imu_left_out for estimate in estimates[12:])
+
+
+def test_what_the_test_at_the_start_shows_of_the_noise_counts_for_the_factors_it_tested() -> None:
+    """Poses and samples that differ by more than both claim, but pass."""
+    frames, _ = drive_of(47, 12)
+    modest = replace(
+        CALIBRATION,
+        gyro_noise_rad_s_sqrt_hz=CALIBRATION.gyro_noise_rad_s_sqrt_hz / 5.0,
+        accel_noise_m_s2_sqrt_hz=CALIBRATION.accel_noise_m_s2_sqrt_hz / 5.0,
+    )
+    by = odometry(modest)
+    for frame in frames[:5]:
+        by.step(frame)
+    assert by.window is not None
+    before = factors_of(by.window)
+    by.step(frames[5])
+    used = by.window.inertial
+    assert used is not None
+    assert used.is_used
+    assert used.noise_factor > 1.1
+    for factor, tested in zip(before, factors_of(by.window), strict=False):
+        np.testing.assert_allclose(tested.cov, used.noise_factor * factor.cov)
+
+
 def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
     """After a blackout that the IMU has bridged, it begins to lie. It is left out while the window
     still holds the dark frames; the poses stay known, and the newest motions are as accurate."""

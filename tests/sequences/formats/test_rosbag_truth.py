@@ -12,12 +12,14 @@ import pytest
 pytest.importorskip("rosbags")
 
 from probevo.arrays import FloatArray
+from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.output.ros.bag_writer import BagWriter, written_bag
+from probevo.output.ros.bag_writer import BagWriter, header_fields, written_bag
 from probevo.output.ros.ros_fields import camera_info_fields, image_fields, pose_fields
 from probevo.output.ros.ros_fields import transform_fields as transform
 from probevo.sequences import open_sequence
+from probevo.sequences.formats.rosbag import BagRecording
 from probevo.sequences.formats.rosbag_truth import TruthPoses
 from probevo.sequences.pose_files import write_tum
 from sequences.formats.test_rosbag import CAMERA
@@ -30,38 +32,65 @@ T_WORLD_CAM = se3.exp(np.array([5.0, 1.0, 2.0, 0.5, 0.5, 1.0])) @ poses(FRAMES)
 STAMPS_NS = stamps_ns(FRAMES)
 
 
-def add_truth(bag: BagWriter, kind: str, stamp_ns: int, T_world_base: FloatArray) -> None:
+def add_truth(
+    bag: BagWriter, kind: str, stamp_ns: int, T_world_base: FloatArray, *, topic: str
+) -> None:
     pose: dict[str, Any] = {"pose": pose_fields(T_world_base)}
     if kind == "Odometry":
         fields = {"child_frame_id": "base", "pose": pose}
-        bag.write("/truth", "nav_msgs/msg/Odometry", stamp_ns, fields, frame="world")
+        bag.write(topic, "nav_msgs/msg/Odometry", stamp_ns, fields, frame="world")
     elif kind == "PoseStamped":
-        bag.write("/truth", "geometry_msgs/msg/PoseStamped", stamp_ns, pose, frame="world")
+        bag.write(topic, "geometry_msgs/msg/PoseStamped", stamp_ns, pose, frame="world")
     elif kind == "TransformStamped":
         fields = transform(T_world_base, stamp_ns, parent="world", child="base")
         type_name = "geometry_msgs/msg/TransformStamped"
-        bag.write("/truth", type_name, stamp_ns, fields, frame="world")
+        bag.write(topic, type_name, stamp_ns, fields, frame="world")
     else:
         moved = transform(T_world_base, stamp_ns, parent="world", child="base")
         other = transform(np.eye(4), stamp_ns, parent="world", child="table")
-        bag.write_transforms("/truth", stamp_ns, [other, moved])
+        bag.write_transforms(topic, stamp_ns, [other, moved])
 
 
-def write_truth_bag(path: Path, kind: str, *, is_mounted: bool = True) -> Path:
-    """A bag of images with the poses of a base, in which the camera is mounted."""
+def add_images(bag: BagWriter, index: int) -> None:
+    """Both images of a frame, and their CameraInfo."""
+    stamp_ns = int(STAMPS_NS[index])
+    for side in ("left", "right"):
+        info = camera_info_fields(CAMERA, is_right=side == "right")
+        info_type = "sensor_msgs/msg/CameraInfo"
+        bag.write(f"/{side}/camera_info", info_type, stamp_ns, info, frame=OPTICAL)
+        pixels = image_fields(image(index, side == "right"))
+        topic = f"/{side}/image_rect"
+        bag.write(topic, "sensor_msgs/msg/Image", stamp_ns, pixels, frame=OPTICAL)
+
+
+def add_faulty_transform(bag: BagWriter, child: str) -> None:
+    """A static transform whose quaternion is (0, 0, 0, 0)."""
+    fields = {"header": header_fields(int(STAMPS_NS[0]), OPTICAL), "child_frame_id": child}
+    bag.write_transforms("/tf_static", int(STAMPS_NS[0]), [fields])
+
+
+def write_truth_bag(
+    path: Path,
+    kind: str,
+    *,
+    is_mounted: bool = True,
+    topic: str = "/truth",
+    is_faulty: bool = False,
+) -> Path:
+    """A bag of images with the poses of a base, in which the camera is mounted.
+
+    One pose of a faulty truth has the quaternion (0, 0, 0, 0).
+    """
     with written_bag(path) as bag:
         if is_mounted:
             mounting = transform(T_BASE_CAM, int(STAMPS_NS[0]), parent="base", child=OPTICAL)
             bag.write_transforms("/tf_static", int(STAMPS_NS[0]), [mounting])
         for index, stamp_ns in enumerate(STAMPS_NS.tolist()):
-            for side in ("left", "right"):
-                info = camera_info_fields(CAMERA, is_right=side == "right")
-                info_type = "sensor_msgs/msg/CameraInfo"
-                bag.write(f"/{side}/camera_info", info_type, stamp_ns, info, frame=OPTICAL)
-                pixels = image_fields(image(index, side == "right"))
-                topic = f"/{side}/image_rect"
-                bag.write(topic, "sensor_msgs/msg/Image", stamp_ns, pixels, frame=OPTICAL)
-            add_truth(bag, kind, stamp_ns, T_WORLD_CAM[index] @ se3.inverse(T_BASE_CAM))
+            add_images(bag, index)
+            T_world_base = T_WORLD_CAM[index] @ se3.inverse(T_BASE_CAM)
+            add_truth(bag, kind, stamp_ns, T_world_base, topic=topic)
+        if is_faulty:
+            bag.write(topic, "nav_msgs/msg/Odometry", int(STAMPS_NS[-1]), {}, frame="world")
     return path
 
 
@@ -74,6 +103,45 @@ def test_truth_is_that_of_the_camera(kind: str, suffix: str, tmp_path: Path) -> 
     truth = open_sequence(path, topics_truth="/truth", **options).truth
     assert truth is not None
     np.testing.assert_allclose(truth.T_world_cam, poses(FRAMES), atol=1e-12)
+
+
+def test_truth_that_was_found_by_its_name_alone_may_be_faulty(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The images can be read; if the user names the topic, the bag is refused."""
+    topic = "/ground_truth/pose"
+    path = write_truth_bag(tmp_path / "drive.mcap", "Odometry", topic=topic, is_faulty=True)
+    bag = open_sequence(path)
+    assert isinstance(bag, BagRecording)
+    assert bag.truth is None
+    assert len(list(bag)) == FRAMES
+    text = dict(bag.notes)["! truth"]
+    assert text.startswith("/ground_truth/pose is not used: the pose")
+    assert "its quaternion has length 0." in text
+    with pytest.raises(InputError, match=r"/ground_truth/pose: the pose .* has length 0\."):
+        open_sequence(path, topics_truth=topic)
+    assert main(["info", str(path)]) == 0
+    assert "! truth" in capsys.readouterr().out
+
+
+def test_faultless_truth_is_found_by_its_name(tmp_path: Path) -> None:
+    path = write_truth_bag(tmp_path / "drive.mcap", "Odometry", topic="/ground_truth/pose")
+    truth = open_sequence(path).truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.T_world_cam, poses(FRAMES), atol=1e-12)
+
+
+def test_truth_that_needs_a_faulty_transform_is_refused(tmp_path: Path) -> None:
+    """The message says what is wrong with the transform."""
+    path = tmp_path / "drive.mcap"
+    with written_bag(path) as bag:
+        add_faulty_transform(bag, "base")
+        for index, stamp_ns in enumerate(STAMPS_NS.tolist()):
+            add_images(bag, index)
+            add_truth(bag, "Odometry", stamp_ns, T_WORLD_CAM[index], topic="/truth")
+    with pytest.raises(InputError, match=r"frame base, .* transform of base: .* has length 0\."):
+        open_sequence(path, topics_truth="/truth")
+    assert open_sequence(path, topics_truth="/truth", truth_of="camera").truth is not None
 
 
 @pytest.mark.parametrize(

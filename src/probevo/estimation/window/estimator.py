@@ -511,16 +511,17 @@ class WindowEstimator:
         # system has the old prior in it already.
         information = system.equations.hessian
         vector = system.equations.gradient + information @ window.offsets()
-        is_first = np.arange(len(window)) == 0
-        prior = without_poses(MarginalPrior(information, vector), is_first)
         # With inertial states, pose, velocity and biases of the frame are marginalised in one
         # block: the IMU's factor correlates them.
         of_imu = window.inertial
         marginalised = inertial.without_first(window, system.equations)
         if marginalised is not None:
             prior, of_imu = marginalised
-        elif of_imu is not None:
-            of_imu = replace(of_imu, factors=of_imu.factors[1:])
+        else:
+            is_first = np.arange(len(window)) == 0
+            prior = without_poses(MarginalPrior(information, vector), is_first)
+            if of_imu is not None:
+                of_imu = replace(of_imu, factors=of_imu.factors[1:])
         # The landmarks that begin anew are those of their last observation by itself.
         state = window.landmarks.state.copy()
         last_px = observations.pixels[observations.start[1:] - 1]

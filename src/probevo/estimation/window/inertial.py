@@ -120,6 +120,8 @@ class Inertial:
     """Why the IMU says nothing of the last step, as the end of "the IMU …"; empty if it does."""
     refused: bool = False
     """Whether it has been left out for good."""
+    has_measured: bool = False
+    """Whether its samples have covered any interval so far."""
 
     @property
     def status(self) -> ImuStatus:
@@ -237,7 +239,7 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         prediction = predicted(window, states, factor)
         if not np.isfinite(prediction.cov).all():
             prediction = None
-    inertial = replace(inertial, pending=factor, prediction=prediction, note="")
+    inertial = replace(inertial, pending=factor, prediction=prediction, note="", has_measured=True)
     return replace(window, inertial=inertial)
 
 
@@ -361,7 +363,7 @@ def reason_left_out(window: Window | None) -> str:
     if window is None or window.inertial is None:
         return ""
     inertial = window.inertial
-    if inertial.status is ImuStatus.UNUSABLE and len(inertial.factors) > 1:
+    if not inertial.has_measured and len(inertial.factors) > 1:
         return ""
     return inertial.note
 

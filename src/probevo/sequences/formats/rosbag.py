@@ -51,6 +51,11 @@ from probevo.sequences.stamps import check_stamps
 
 NO_FRAME = -1
 """Frame of an image without a partner."""
+NOT_MEASURED = -1.0
+"""First element of a covariance in ``sensor_msgs/Imu`` where the message does not have its
+quantity."""
+NO_VECTOR = (np.nan, np.nan, np.nan)
+"""A vector that was not measured."""
 
 
 @dataclass(frozen=True)
@@ -167,13 +172,18 @@ class _Content:
     """The first CameraInfo of each topic."""
     imu_ns: list[int] = field(default_factory=list)
     imu_values: list[tuple[float, ...]] = field(default_factory=list)
-    """Angular rate, rad/s, and specific force, m/s², of each sample: six numbers."""
+    """Angular rate, rad/s, and specific force, m/s², of each sample: six numbers, NaN where the
+    message says that it has none."""
     imu_frame: str = ""
     """Frame of the IMU in ROS's tree of transforms."""
     transforms: dict[str, tuple[str, FloatArray]] = field(default_factory=dict)
     """Parent and T_parent_child, [4, 4], of each child frame in ``tf_static``."""
+    faulty_transforms: dict[str, InputError] = field(default_factory=dict)
+    """What is wrong with a transform in ``tf_static``, by its child frame."""
     truth: TruthPoses | None = None
     """True poses, if a topic has them."""
+    faulty_truth: InputError | None = None
+    """What is wrong with the first faulty pose of that topic; it is raised if the truth matters."""
 
 
 def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
@@ -189,7 +199,8 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
 
     Raises:
         InputError: the bag is damaged; it has no stereo images, no calibration, or several
-            candidates for either (lists the topics); or a value is impossible.
+            candidates for either (lists the topics); or a value is impossible. What is wrong with
+            an IMU or truth that the options do not ask for is a note instead.
     """
     with complete_messages(path):
         return _opened(path, options)
@@ -212,6 +223,10 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
     # pass, while the recording is iterated over.
     with opened_bag(path) as bag:
         topics = choose_topics(path, bag.topics, named)
+        needs_imu = options.imu_noise is not None or options.truth_of == IMU
+        if needs_imu and topics.candidate_imus:
+            what = f"several topics are IMUs: {', '.join(topics.candidate_imus)}."
+            raise InputError(path, what, "Name one with --topics.imu.")
         content = _Content(bag.decoder, first_images={topics.left: [], topics.right: []})
         if topics.truth is not None and options.truth is None:
             content.truth = _empty_truth(path, topics.truth, bag.topics[topics.truth].type, options)
@@ -268,8 +283,18 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
         )
         raise InputError(f"{path}: {topics.left}", what, cure)
     imu = with_noise_of(imu, options.imu_noise)
-    imu_stream = None if imu is None else _imu_stream(content, topics, imu, stamps_ns, path)
     notes = _notes(content, topics, pairs, pair_tolerance_ms, imu)
+    imu_stream: ImuStream | None = None
+    if imu is not None:
+        try:
+            imu_stream = _imu_stream(content, topics, imu, stamps_ns, path)
+        except InputError as error:
+            # An IMU that nobody asked for must not make a bag unusable.
+            if options.topics_imu is not None or options.imu_noise is not None:
+                raise
+            notes = (*notes, ("! IMU", _not_used(topics.imu, error)))
+    if imu_stream is not None and not np.isfinite(imu_stream.accel_m_s2).any():
+        notes = (*notes, ("IMU", f"{topics.imu} has no accelerations: only its gyro is used."))
     truth: GroundTruth | None = None
     try:
         truth = _truth(content, topics, options, stamps_ns, imu=imu, C_rect_left=C_rect_left)
@@ -277,7 +302,7 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
         # Truth that was only recognised by the name of its topic must not make a bag unusable.
         if options.truth is not None or options.topics_truth is not None:
             raise
-        notes = (*notes, ("! truth", f"{topics.truth} is not used: {error.what} {error.cure}"))
+        notes = (*notes, ("! truth", _not_used(topics.truth, error)))
     return BagRecording(
         path=path,
         format="rosbag",
@@ -299,6 +324,8 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
 def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> None:
     """Add a message to the content of the bag.
 
+    A faulty pose is kept as an error, since the truth or the frame may not be needed.
+
     Raises:
         InputError: the message is damaged.
     """
@@ -318,20 +345,32 @@ def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> Non
         sample = decoder.decoded(message)
         rate = sample.angular_velocity
         force = sample.linear_acceleration
+        has_rate = sample.angular_velocity_covariance[0] != NOT_MEASURED
+        has_force = sample.linear_acceleration_covariance[0] != NOT_MEASURED
+        rate_rad_s = (rate.x, rate.y, rate.z) if has_rate else NO_VECTOR
+        force_m_s2 = (force.x, force.y, force.z) if has_force else NO_VECTOR
         content.imu_ns.append(decoder.stamp_ns(message))
-        content.imu_values.append((rate.x, rate.y, rate.z, force.x, force.y, force.z))
+        content.imu_values.append(rate_rad_s + force_m_s2)
         content.imu_frame = sample.header.frame_id
     elif message.topic == topics.truth:
-        if content.truth is not None:
-            content.truth.add(decoder.decoded(message))
+        if content.truth is not None and content.faulty_truth is None:
+            try:
+                content.truth.add(decoder.decoded(message))
+            except InputError as error:
+                content.faulty_truth = error
     else:
         for transform in decoder.decoded(message).transforms:
             parent = frame_name(transform.header.frame_id)
             child = frame_name(transform.child_frame_id)
             pose = transform.transform
             where = f"{decoder.path}: {message.topic}"
-            T_parent_child = rigid_matrix(pose.translation, pose.rotation, where)
-            content.transforms[child] = (parent, T_parent_child)
+            try:
+                T_parent_child = rigid_matrix(pose.translation, pose.rotation, where)
+            except InputError as error:
+                # ROS ignores such a transform, too; it may be of a frame that nobody needs.
+                content.faulty_transforms[child] = error
+            else:
+                content.transforms[child] = (parent, T_parent_child)
 
 
 def _check_pairs(
@@ -456,6 +495,8 @@ def _truth(
         return truth_of_file(options.truth, stamps_ns, truth_of=options.truth_of, imu=imu)
     if content.truth is None:
         return None
+    if content.faulty_truth is not None:
+        raise content.faulty_truth
     poses_ns, T_world_body = content.truth.arrays()
     T_body_cam = _body_from_camera(
         content, content.truth, topics, truth_of=options.truth_of, imu=imu, C_rect_left=C_rect_left
@@ -502,6 +543,9 @@ def _body_from_camera(
     if not body or camera_root != body_root:
         of = f"the frame {body}" if body else "a frame that it does not name"
         what = f"its poses are those of {of}, and tf_static does not have the camera's pose in it."
+        for root in (camera_root, body_root):
+            if root in content.faulty_transforms:
+                what += f" Its transform of {root}: {content.faulty_transforms[root].what}"
         cure = "Say whose poses they are: --truth-of camera, imu, or a frame of tf_static."
         raise InputError(poses.where, what, cure)
     T_cam_rect = se3.from_parts(C_rect_left.T, np.zeros(3))
@@ -518,20 +562,45 @@ def _imu_stream(
     """Return the IMU's samples on the clock of the images; None if the bag has none.
 
     Raises:
-        InputError: there are too few samples, or their stamps do not ascend.
+        InputError: there are too few samples, they are on another clock, or none has an angular
+            rate.
     """
     if not content.imu_ns:
         return None
+    where = f"{path}: {topics.imu}"
     # Some drivers occasionally send two samples with the same stamp: use the first of them.
     stamps_ns, first = np.unique(np.array(content.imu_ns, dtype=np.int64), return_index=True)
     values = np.array(content.imu_values)[first]
+    gyro_rad_s = values[:, :3]
+    accel_m_s2 = values[:, 3:]
+    if not _is_measured(gyro_rad_s):
+        what = "it has no angular rates: all of them are zero, or said to be unknown."
+        if _is_measured(accel_m_s2):
+            what += " It is the topic of an accelerometer."
+        raise InputError(where, what, "Name the topic of the gyro with --topics.imu.")
+    if not _is_measured(accel_m_s2):
+        accel_m_s2 = np.full_like(accel_m_s2, np.nan)
     return ImuStream.checked(
         imu.on_image_clock(stamps_ns),
-        gyro_rad_s=values[:, :3],
-        accel_m_s2=values[:, 3:],
+        gyro_rad_s=gyro_rad_s,
+        accel_m_s2=accel_m_s2,
         frames_ns=frames_ns,
-        where=f"{path}: {topics.imu}",
+        where=where,
     )
+
+
+def _is_measured(vectors: FloatArray) -> bool:
+    """Return whether a sensor measured any of the vectors, [J, 3]; NaN where not recorded.
+
+    Drivers fill with zeros what they do not measure. The noise of a sensor is never zero throughout
+    a recording.
+    """
+    return bool(np.nan_to_num(vectors).any())
+
+
+def _not_used(topic: str | None, error: InputError) -> str:
+    """Return the text of a note on a topic that the user did not name, and that is faulty."""
+    return f"{topic} is not used: {error.what} {error.cure}".rstrip()
 
 
 def _notes(
@@ -541,7 +610,7 @@ def _notes(
     pair_tolerance_ms: float,
     imu: ImuCalibration | None,
 ) -> tuple[tuple[str, str], ...]:
-    """Return what ``info`` reports on the topics, the pairs and the IMU."""
+    """Return what ``info`` reports on the topics, the pairs, the transforms and the IMU."""
     largest_ms = 1e-6 * float(np.abs(pairs.offsets_ns).max())
     num_left = len(content.left_ns) - len(pairs)
     num_right = len(content.right_ns) - len(pairs)
@@ -553,6 +622,15 @@ def _notes(
             f" {pair_tolerance_ms:g} ms); without a partner: {num_left} left, {num_right} right",
         ),
     ]
+    for child, error in content.faulty_transforms.items():
+        text = _not_used(f"the transform of {child}", error)
+        notes.append(("! tf_static", text))
+    if topics.candidate_imus:
+        text = (
+            f"none is used: several topics are IMUs: {', '.join(topics.candidate_imus)}. Name one"
+            " with --topics.imu."
+        )
+        notes.append(("! IMU", text))
     if content.imu_ns and imu is None:
         text = (
             f"{topics.imu} is not used: tf_static does not have its pose in the camera's frame."

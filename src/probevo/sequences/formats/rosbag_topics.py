@@ -53,6 +53,9 @@ class StereoTopics:
     """None if the bag has no CameraInfo of this camera."""
     right_info: str | None
     imu: str | None
+    """None if the bag has no IMU, or several of which none is named."""
+    candidate_imus: tuple[str, ...]
+    """The topics of several IMUs of which none is named; they are not read."""
     truth: str | None
     """True poses; None if no topic has them."""
     static_transforms: tuple[str, ...]
@@ -78,12 +81,14 @@ def choose_topics(path: Path, topics: dict[str, Topic], named: NamedTopics) -> S
             types = _types_of(option)
             _check_named(path, filled, name, option=option, types=types)
     left, right = _stereo_pair(path, filled, named)
+    imus = tuple(topic.name for topic in filled.values() if topic.type == IMU_TYPE)
     return StereoTopics(
         left=left,
         right=right,
         left_info=named.left_info or _camera_info(filled, left),
         right_info=named.right_info or _camera_info(filled, right),
-        imu=named.imu or _only_imu(path, filled),
+        imu=named.imu or (imus[0] if len(imus) == 1 else None),
+        candidate_imus=imus if named.imu is None and len(imus) > 1 else (),
         truth=named.truth or _only_truth(filled),
         static_transforms=tuple(
             topic.name
@@ -188,19 +193,6 @@ def _camera_info(topics: dict[str, Topic], images: str) -> str | None:
         parts.pop()
     name = "/".join([*parts[:-1], "camera_info"])
     return name if name in topics and topics[name].type == INFO_TYPE else None
-
-
-def _only_imu(path: Path, topics: dict[str, Topic]) -> str | None:
-    """Return the only topic of an IMU; None if there is none.
-
-    Raises:
-        InputError: there are several.
-    """
-    names = [topic.name for topic in topics.values() if topic.type == IMU_TYPE]
-    if len(names) > 1:
-        what = f"several topics are IMUs: {', '.join(names)}."
-        raise InputError(path, what, "Name one with --topics.imu.")
-    return names[0] if names else None
 
 
 def _only_truth(topics: dict[str, Topic]) -> str | None:
