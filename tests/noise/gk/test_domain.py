@@ -5,6 +5,8 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.noise import GeneralizedKernel
+from probevo.noise.gk.centers import Centers
+from probevo.noise.gk.generalized_kernel import MAX_DOMAIN_SAMPLES
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +48,29 @@ def test_far_away_it_is_as_wide_as_the_worst_tenth(
     sizes = np.linalg.slogdet(near)[1]
     size = np.linalg.slogdet(far)[1][0]
     assert np.mean(sizes < size) == pytest.approx(0.9, abs=0.03)
+
+
+def test_the_domain_is_that_of_so_many_samples_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if there are more, but less than twice as many."""
+    counts = []
+    radius_of = Centers.domain_radius_of
+
+    def counted(centers: Centers, coordinates: FloatArray) -> float:
+        counts.append(len(coordinates))
+        return radius_of(centers, coordinates)
+
+    monkeypatch.setattr(Centers, "domain_radius_of", counted)
+    rng = np.random.default_rng(5)
+    for count in (MAX_DOMAIN_SAMPLES, 2 * MAX_DOMAIN_SAMPLES - 1):
+        GeneralizedKernel(
+            neighbors=60,
+            prior_counts=8.0,
+            dof_counts=30.0,
+            bias_counts=np.inf,
+            weights=np.ones(2),
+            centers=50,
+        ).fit(rng.normal(size=(50 + count, 2)), rng.normal(size=(50 + count, 4)))
+    assert counts == [MAX_DOMAIN_SAMPLES, MAX_DOMAIN_SAMPLES]
 
 
 @pytest.mark.parametrize("more", [0, 1, 2, 5, 100])

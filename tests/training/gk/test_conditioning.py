@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.geometry import se3
 from probevo.training.gk.conditioning import LOOP_SIGMA, conditioned
+from probevo.training.gk.expectation import UNSOLVED_SIGMA
 from probevo.training.supervision import Supervision
 
 STEPS = 12
@@ -198,6 +199,59 @@ def test_how_far_the_truth_is_off_is_estimated(every: int) -> None:
     )
     sums = [np.trace(posterior, axis1=1, axis2=2).sum() for posterior in (less, found, more)]
     assert sums[0] < sums[1] < sums[2]
+
+
+def unsolved_in(stretches: int, every: int, solved_stretches: int) -> BoolArray:
+    """Return which steps are solved: the last stretches have one step each that is not."""
+    is_solved = np.ones(stretches * every, np.bool_)
+    is_solved[solved_stretches * every :: every] = False
+    return is_solved
+
+
+@pytest.mark.parametrize(("stretches", "solved_stretches"), [(100, 40), (19, 8)])
+def test_unsolved_steps_do_not_count_for_how_far_the_truth_is_off(
+    stretches: int, solved_stretches: int
+) -> None:
+    """Truth off by 5 cm, and features by a mm, but for one step in most of the stretches: σ within
+    a factor of two, whether the stretches are many or few. The made-up σ of 1 m would hide the
+    scatter of the truth from the estimate, so that it seems exact if they are many, and bad if they
+    are few."""
+    every = 5
+    is_solved = unsolved_in(stretches, every, solved_stretches)
+    true = motions(stretches * every)
+    cov = np.tile(1e-6 * np.eye(6), (len(true), 1, 1))
+    seen = disturbed(true, cov)
+    cov[~is_solved] = np.diag(UNSOLVED_SIGMA**2)
+    sigma = np.full(6, 0.05)
+    noise = sigma * np.random.default_rng(6).normal(size=(stretches, 6))
+    ends = [se3.exp(noise[i]) @ over(true, i * every, (i + 1) * every) for i in range(stretches)]
+    frames = np.arange(0, len(true) + 1, every)
+    off = Supervision("sparse", frames, se3.chain_motions(np.array(ends)))
+
+    found = conditioned(seen, cov, off, truth_sigma=None, is_solved=is_solved)[1]
+    less, more = (
+        conditioned(seen, cov, off, truth_sigma=factor * sigma)[1] for factor in (0.5, 2.0)
+    )
+    # The uncertainty that is left in the steps without a solve is that of the truth.
+    sums = [
+        np.trace(posterior[~is_solved], axis1=1, axis2=2).sum() for posterior in (less, found, more)
+    ]
+    assert sums[0] < sums[1] < sums[2]
+
+
+def test_without_a_stretch_that_is_solved_the_truth_is_not_used() -> None:
+    """Nothing says how far it is off, unless it is given."""
+    true = motions(60)
+    cov = covariances(60)
+    is_solved = unsolved_in(12, 5, 0)
+    cov[~is_solved] = np.diag(UNSOLVED_SIGMA**2)
+    seen = disturbed(true, covariances(60))
+    known = truth(true, 5, "sparse")
+    fused, posterior = conditioned(seen, cov, known, truth_sigma=None, is_solved=is_solved)
+    np.testing.assert_array_equal(fused, seen)
+    np.testing.assert_array_equal(posterior, cov)
+    given, _ = conditioned(seen, cov, known, truth_sigma=EXACT, is_solved=is_solved)
+    assert (given != seen).any()
 
 
 def test_exact_truth_is_found_to_be_so() -> None:

@@ -228,6 +228,27 @@ def test_a_step_of_too_few_features_keeps_its_motion_and_teaches_nothing(
     assert np.isfinite(found.T_curr_prev).all()
 
 
+def test_where_every_stretch_has_a_step_of_too_few_features_the_truth_is_not_used(
+    world: PointWorld, drive: Drive
+) -> None:
+    """It is used if one stretch has none: then it is as good as that one says."""
+    used = drive.used.copy()
+    for step in range(1, len(drive.T_curr_prev), 3):
+        used[drive.rows(step)] = False
+    few = replace(drive, used=used)
+    noise = right_noise(drive)
+    posterior = solved(world, few, noise)
+    np.testing.assert_array_equal(posterior.is_solved, np.arange(len(drive.T_curr_prev)) % 3 != 1)
+    supervised = in_memory(few, world, "sparse", every=3)
+    found = expect(supervised, lambda _: noise, SolverConfig(), truth_sigma=None)
+    np.testing.assert_array_equal(found.T_curr_prev, found.T_features_only)
+
+    used[drive.rows(1)] = True
+    found = expect(supervised, lambda _: noise, SolverConfig(), truth_sigma=None)
+    moved = np.abs(found.T_curr_prev - found.T_features_only).max(axis=(1, 2))
+    assert moved[4::3].min() > 0.0
+
+
 def test_of_features_that_are_not_used_nothing_is_learned(world: PointWorld, drive: Drive) -> None:
     used = np.arange(len(drive.phi)) % 3 > 0
     found = expected(world, replace(drive, used=used), right_noise(drive))

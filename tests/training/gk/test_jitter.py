@@ -115,8 +115,9 @@ def test_the_kernel_learns_it_as_well() -> None:
         TrainSettings(odometry=OdometryConfig(self_calibration=False)),
         TrainSettings(odometry=OdometryConfig(solver=SolverConfig(method="alignment"))),
         TrainSettings(gk=KernelSettings(bias=True)),
+        TrainSettings(kind="gk", gk=KernelSettings(variant="published", refers_to="residual")),
     ],
-    ids=["taken as calibrated", "alignment", "a bias of all features"],
+    ids=["taken as calibrated", "alignment", "a bias of all features", "as published"],
 )
 def test_a_rig_without_jitter_learns_none(settings: TrainSettings) -> None:
     drive = drive_through("constant", np.zeros(3), frames=20)

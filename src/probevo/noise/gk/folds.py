@@ -30,6 +30,8 @@ class Fold:
     static: FloatArray
     """Log-likelihood of each held-out error under the static Student-t of the training samples,
     nats."""
+    groups: IntArray
+    """Group of each held-out sample, [Q], whose number no group of another fold has."""
 
 
 def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -> list[Fold]:
@@ -45,8 +47,9 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
     count = len(samples.errors)
     if groups is None:
         groups = np.arange(count) * 2 * FOLDS // max(count, 1)
+    group = np.unique(groups, return_inverse=True)[1]
     # Groups are dealt to the folds in turn, so that those of a fold are spread over the data.
-    fold = np.unique(groups, return_inverse=True)[1] % FOLDS
+    fold = group % FOLDS
     folds = []
     for number in np.unique(fold):
         inside = np.flatnonzero(fold == number)
@@ -54,7 +57,8 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
         if not len(outside):
             continue
         # Thinned out evenly, to bound the time of the search.
-        held_out = samples.subset(inside[evenly(len(inside), MAX_HELD_OUT)])
+        held_out_rows = inside[evenly(len(inside), MAX_HELD_OUT)]
+        held_out = samples.subset(held_out_rows)
         training = samples.subset(outside[evenly(len(outside), MAX_SAMPLES)])
         # The static fit is the baseline of the score, and the prior of the robust kernel.
         fitted = fit_static(training.errors, training.error_cov)
@@ -65,6 +69,7 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
                 held_out=held_out,
                 prior=prior_of(training, published=True) if published else fitted,
                 static=noise.log_likelihood(held_out.errors),
+                groups=group[held_out_rows],
             )
         )
     return folds

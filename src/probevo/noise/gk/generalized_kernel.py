@@ -1,4 +1,4 @@
-"""PROBE-GK: the noise of each feature from the errors of similar features (thesis section 4.4).
+"""PROBE-GK: the noise of each feature from the errors of similar features (thesis section 1.5).
 
 Training data are errors e_i at places φ_i of the prediction space. The noise of a new feature at φ
 is the posterior predictive Student-t of the errors around it (PROBE-GK eq. (12)),
@@ -175,7 +175,7 @@ class GeneralizedKernel:
         fitted, _ = self.posterior_.at(places, shape)
         self.centers_ = Centers.of(places, fitted)
         other_rows = np.setdiff1d(np.arange(len(residuals)), center_rows)
-        other_rows = other_rows[:: max(1, len(other_rows) // MAX_DOMAIN_SAMPLES)]
+        other_rows = other_rows[evenly(len(other_rows), MAX_DOMAIN_SAMPLES)]
         self.domain_radius_ = self.centers_.domain_radius_of(samples.coordinates[other_rows])
         self.prior_ = self._far_prior(fitted)
         return self

@@ -213,6 +213,7 @@ class _Search:
         total_steps: int,
     ) -> None:
         self.folds = folds
+        self.groups = np.concatenate([fold.groups for fold in folds])
         self.published = published
         self.on_progress = on_progress
         self.total_steps = total_steps
@@ -237,7 +238,7 @@ class _Search:
             options = [_with_weight(weights, m, 1.0) for m in free.tolist()]
             option, gains = self._best_of(options, shape)
             self._advance(len(free))
-            gains_more = is_better(gains, best_gains)
+            gains_more = is_better(gains, best_gains, self.groups)
             if order and not gains_more:
                 break
             added = int(np.flatnonzero(option != weights)[0])
@@ -250,7 +251,7 @@ class _Search:
         for m, _ in order:
             options = [_with_weight(weights, m, factor) for factor in FACTORS]
             option, gains = self._best_of(options, shape)
-            if is_better(gains, best_gains):
+            if is_better(gains, best_gains, self.groups):
                 weights = option
                 best_gains = gains
         self.log["weights"] = {
@@ -351,15 +352,32 @@ def _gains_of_fold(fold: Fold, held_out: _HeldOut, shape: KernelShape) -> FloatA
     return noise.log_likelihood(fold.held_out.errors) - fold.static
 
 
-def is_better(gains: FloatArray, prev_gains: FloatArray) -> bool:
-    """Decide whether the gains of the same errors, [Q], improve by more than chance explains.
+def is_better(gains: FloatArray, prev_gains: FloatArray, groups: IntArray) -> bool:
+    """Decide whether the gains of the same errors improve by more than chance explains.
 
     The mean difference must exceed both ``MIN_GAIN`` and its own standard error.
+
+    Args:
+        gains: log-likelihood of each error over the static one, [Q], nats.
+        prev_gains: the same before, [Q], or [1] for all of them.
+        groups: number of the group of each error, [Q]; at least two groups.
     """
     # Paired: both likelihoods are of the same errors, whose own scatter cancels.
     more = gains - prev_gains
-    standard_error = more.std() / np.sqrt(len(more))
-    return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * standard_error))
+    return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * _standard_error(more, groups)))
+
+
+def _standard_error(values: FloatArray, groups: IntArray) -> float:
+    """Return the cluster-robust standard error of the mean of Q values in G groups.
+
+    Values of one group are correlated, so that only the sums of the groups are independent:
+
+        √(G/(G − 1) Σ_g (Σ_{q in g} (v_q − v̄))²) / Q.
+    """
+    num_groups = len(np.unique(groups))
+    sums = np.bincount(groups, weights=values - values.mean())
+    variance = num_groups / (num_groups - 1) * np.sum(sums**2)
+    return float(np.sqrt(variance)) / len(values)
 
 
 def _with_weight(weights: FloatArray, column: int, weight: float) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.visual_motion import MOTIONS_DIFFER_FROM
 from probevo.geometry import se3
 from probevo.training.supervision import Supervision
@@ -42,6 +42,7 @@ def conditioned(
     cov: FloatArray,
     supervision: Supervision,
     truth_sigma: FloatArray | None,
+    is_solved: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Condition the motions of K − 1 steps on the true motion over each stretch.
 
@@ -50,8 +51,9 @@ def conditioned(
     truth and its distance ξ = Log(T_true T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. For
     stretches of one step this is the fusion of two Gaussians.
 
-    P is estimated from the distances of all stretches unless it is given, or the loop is only
-    assumed to close. Truth that fails the gate ξᵀ(M + P)⁻¹ξ ≤ MOTIONS_DIFFER_FROM is then not used.
+    P is estimated from the distances of the stretches whose steps are all solved unless it is
+    given, or the loop is only assumed to close. Truth that fails the gate
+    ξᵀ(M + P)⁻¹ξ ≤ MOTIONS_DIFFER_FROM is then not used; without any such stretch, none is used.
 
     Args:
         T_curr_prev: motion of each step, [K − 1, 4, 4].
@@ -59,6 +61,7 @@ def conditioned(
         supervision: true motions over the stretches.
         truth_sigma: standard deviation of the truth over a stretch, m and rad, [6]; None to
             estimate it.
+        is_solved: whether the features determine the motion of each step, [K − 1]; by default all.
 
     Returns:
         motions [K − 1, 4, 4] and covariances [K − 1, 6, 6] given the truth.
@@ -73,8 +76,16 @@ def conditioned(
 
     # The covariance P of the truth.
     is_estimated = truth_sigma is None and not supervision.is_assumed
-    if truth_sigma is None:
-        truth_sigma = _estimated_truth_sigma(stretches) if is_estimated else LOOP_SIGMA
+    if is_estimated:
+        # A step without a solve has a made-up covariance, which says nothing about the truth.
+        if is_solved is None:
+            is_solved = np.ones(len(cov), np.bool_)
+        solved = [each for each in stretches if is_solved[each.first : each.end].all()]
+        if not solved:
+            return motions, posterior
+        truth_sigma = _estimated_truth_sigma(solved)
+    elif truth_sigma is None:
+        truth_sigma = LOOP_SIGMA
     P = np.diag(np.maximum(truth_sigma, LEAST_TRUTH_SIGMA) ** 2)
 
     for stretch in stretches:
@@ -127,6 +138,9 @@ def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:
     It is the scatter of the truth around the features' motions beyond their own uncertainty, by
     medians. Few stretches may scatter little by chance: then the truth is taken to be no better
     than the features.
+
+    Args:
+        stretches: at least one stretch, of solved steps only.
     """
     # Translations and rotations apart, [U, 2, 3].
     distances = np.abs([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)

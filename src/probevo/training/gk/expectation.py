@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import SolverConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
@@ -37,6 +37,11 @@ class MotionPosterior(NamedTuple):
     """Mean of each motion, [K − 1, 4, 4]."""
     cov: FloatArray
     """Covariance of each left perturbation ξ = [ρ; φ], [K − 1, 6, 6]."""
+
+    @property
+    def is_solved(self) -> BoolArray:
+        """Whether anything is known of each motion, [K − 1]: it does not have UNSOLVED_SIGMA."""
+        return np.asarray((self.cov != np.diag(UNSOLVED_SIGMA**2)).any(axis=(1, 2)))
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,11 @@ def expect(
     posterior = solved
     if drive.supervision.kind != "none":
         T_curr_prev, cov = conditioned(
-            solved.T_curr_prev, solved.cov, drive.supervision, truth_sigma=truth_sigma
+            solved.T_curr_prev,
+            solved.cov,
+            drive.supervision,
+            truth_sigma=truth_sigma,
+            is_solved=solved.is_solved,
         )
         posterior = MotionPosterior(T_curr_prev, cov)
     # Second pass: the errors of the features at these motions.

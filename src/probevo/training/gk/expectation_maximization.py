@@ -199,11 +199,15 @@ def _initial_jitter(settings: TrainSettings) -> FloatArray | None:
     """Return the covariance of the jitter to begin with, [3, 3], rad²; None if it is not learned.
 
     It is not learned if the rig is taken as calibrated, if the solver is an alignment, which does
-    not model common errors, or if a bias is learned, which moves all features in the same way.
+    not model common errors, or if a bias is learned, which moves all features in the same way. The
+    published variant has no jitter: PROBE-GK takes the rig as rigid.
     """
     odometry = settings.odometry
+    kernel = settings.gk
     learns = odometry.self_calibration and odometry.solver.method == "reprojection"
-    return initial_covariance() if learns and not settings.gk.bias else None
+    if not learns or kernel.bias or kernel.variant == "published":
+        return None
+    return initial_covariance()
 
 
 def json_without_infinity(values: Mapping[str, Any]) -> dict[str, Any]:
