@@ -156,7 +156,7 @@ class KernelSettings(Settings):
         """Return the settings of PROBE-GK as published.
 
         The noise is that of residuals, the posterior an inverse Wishart, the motions of EM are
-        solved by least squares, and the truth is exact.
+        solved by least squares, the rig is rigid, and the truth is exact.
         """
         return KernelSettings(
             variant="published",
