@@ -516,7 +516,7 @@ class StereoOdometry:
         measurements = list(measured.of_motion)
         # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
         # dead-reckoned motion, whose rotation is the gyro's.
-        if window.inertial is None and solved.shows_step:
+        if not inertial.has_measured(window) and solved.shows_step:
             measurements += measured.by_gyro
         return self._window.after_step(
             window,

@@ -587,6 +587,21 @@ def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
     assert not any(estimate.imu_left_out for estimate in estimates)
 
 
+def test_an_accelerometer_that_starts_late_is_used() -> None:
+    """In the first interval there is the gyro alone."""
+    frames, _ = drive_of(46, 16)
+    imu = frames[1].imu
+    assert imu is not None
+    without = replace(imu, accel_m_s2=np.full_like(imu.accel_m_s2, np.nan))
+    frames[1] = replace(frames[1], imu=without)
+    by = odometry()
+    estimates = [by.step(frame) for frame in frames]
+    assert not estimates[1].imu_left_out
+    assert by.window is not None
+    assert by.window.inertial is not None
+    assert by.window.inertial.is_used
+
+
 def test_samples_that_end_are_said_for_as_long_as_they_are_missed() -> None:
     """Also once no interval of the window has any."""
     frames, _ = drive_of(44, 24)

@@ -227,11 +227,10 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         bias=states.bias[-1] if states is not None else np.zeros(6),
     )
     if isinstance(factor, NoPreintegration):
-        if factor.reason == NO_ACCELEROMETER and len(window) == 1:
-            # A gyro alone predicts motions, as with two frames; nobody expects more of it.
-            return replace(window, inertial=None)
-        silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
-        return replace(window, inertial=silent)
+        # A gyro alone predicts motions, as with two frames; nobody expects more of it.
+        is_gyro = factor.reason == NO_ACCELEROMETER and not inertial.has_measured
+        note = "" if is_gyro else factor.reason
+        return replace(window, inertial=replace(inertial, pending=None, prediction=None, note=note))
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     # Predict the next motion, once velocity, biases and gravity are known.
     prediction = None
@@ -264,6 +263,11 @@ def may_bridge(window: Window) -> bool:
     if window.inertial is None:
         return False
     return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.LEFT_OUT)
+
+
+def has_measured(window: Window) -> bool:
+    """Return whether a window has an IMU whose samples have covered any interval so far."""
+    return window.inertial is not None and window.inertial.has_measured
 
 
 def uses_imu(window: Window | None) -> bool:
