@@ -438,8 +438,8 @@ class WindowEstimator:
     def adjusted(self, window: Window) -> Window:
         """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
 
-        The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
-        so that a step may raise the cost a little.
+        The rig's errors, whose information is tempered, end elsewhere than where the cost is least.
+        Where a step towards them has to raise the cost, it may, by as much as it has to.
         """
         # Which landmarks seem to move by themselves is decided before, so that the cost to minimise
         # is one and the same in all iterations.
@@ -452,11 +452,9 @@ class WindowEstimator:
         damping = 0.0
         before = 0.0  # the decrease by the step before
         for _ in range(self._config.max_iterations):
-            # gradient · step is about twice the decrease that the quadratic model predicts.
-            step = self._step(system, damping)
+            step, decrease = self._step(system, damping)
             moved = self._moved(system, step)
             # Where steps shrink from one to the next by a factor, those still to come gain this.
-            decrease = float(step @ system.equations.gradient)
             still_to_gain = decrease * min(1.0, decrease / before) if before > 0.0 else decrease
             before = decrease
             if damping == 0.0 and still_to_gain < CONVERGED_BELOW:
@@ -464,7 +462,9 @@ class WindowEstimator:
                 break
             # Accept, and damp less, or go back, and damp more.
             trial = self._system(moved)
-            if trial.cost <= system.cost + COST_TOLERANCE:
+            hessian, gradient = system.equations
+            rise = max(0.0, float(step @ (0.5 * hessian @ step - gradient)))
+            if trial.cost <= system.cost + rise + COST_TOLERANCE:
                 system = trial
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
             else:
@@ -624,8 +624,13 @@ class WindowEstimator:
             inertial=of_imu,
         )
 
-    def _step(self, system: _System, damping: float) -> FloatArray:
-        """Solve for the step of poses and rig, [6K + 4]; information about the rig is tempered."""
+    def _step(self, system: _System, damping: float) -> tuple[FloatArray, float]:
+        """Solve for the step of poses and rig, [6K + 4]; information about the rig is tempered.
+
+        Returns:
+            The step, and its product with the gradient that it follows, the tempered one: about
+            twice the decrease of the tempered cost.
+        """
         hessian, gradient = system.equations
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
@@ -642,10 +647,10 @@ class WindowEstimator:
         gain = solved[:, :RIG]
         rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_gradient = gradient[rig] - gain.T @ gradient[poses]
-        rig_step = self._rig_covariance(rig_information) @ (
-            rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
-        )
-        return np.concatenate([solved[:, RIG] - gain @ rig_step, rig_step])
+        tempered = rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
+        rig_step = self._rig_covariance(rig_information) @ tempered
+        decrease = gradient[poses] @ solved[:, RIG] + rig_step @ tempered
+        return np.concatenate([solved[:, RIG] - gain @ rig_step, rig_step]), float(decrease)
 
     def _covariance(self, hessian: FloatArray) -> FloatArray:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
