@@ -163,7 +163,11 @@ def halves(name: str, out: Path, expected: dict[str, bytes], stages: dict[str, i
     found = {key: data for key, data in found.items() if ".part/" not in key}
     found = {key: data for key, data in found.items() if ".work/" not in key}
     stages["complete" if found.keys() == stable(expected).keys() else "absent"] += 1
-    return [f"{key} is not whole" for key, data in found.items() if data != expected.get(key)]
+    faults = [f"{key} is not whole" for key, data in found.items() if data != expected.get(key)]
+    if found:
+        missing = stable(expected).keys() - found.keys()
+        faults += [f"{key} is missing, although other files are there" for key in sorted(missing)]
+    return faults
 
 
 def together(folder: Path, drive: Path) -> list[str]:

@@ -19,13 +19,18 @@ RIG = RigConfig(width_px=310, height_px=94, focal_px=180.0)
 
 
 def play(frames: list[pv.Frame], live: pv.LiveOdometry, speed: float) -> None:
-    """Push each frame at its time, as the driver of a camera does, then close."""
+    """Push each frame at its time, as the driver of a camera does, then close, whatever happens."""
     start_s = time.monotonic()
-    for frame in frames:
-        due_s = start_s + 1e-9 * (frame.stamp_ns - frames[0].stamp_ns) / speed
-        time.sleep(max(0.0, due_s - time.monotonic()))
-        live.push(frame)
-    live.close()
+    try:
+        for frame in frames:
+            due_s = start_s + 1e-9 * (frame.stamp_ns - frames[0].stamp_ns) / speed
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            try:
+                live.push(frame)
+            except pv.InputError as error:  # a frame that is refused is left out
+                print(error, file=sys.stderr)
+    finally:
+        live.close()
 
 
 def main(speed: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import shutil
 import tempfile
@@ -260,7 +261,11 @@ def command(words: list[str]) -> object:
 
 def use_images(path: Path, rng: Generator) -> object:
     step_all(path, np.random.default_rng(1))
-    return {str(frame.index): frame.left for frame in open_sequence(path)}
+    return {
+        f"{side} {frame.index}": image
+        for frame in open_sequence(path)
+        for side, image in (("left", frame.left), ("right", frame.right))
+    }
 
 
 def use_archive(path: Path, rng: Generator) -> object:
@@ -582,9 +587,7 @@ def all_targets() -> dict[str, Target]:
         Target("poses", pose_seeds(), text, use_poses),
         Target("flags", (Seed(flags, "flags", ("flags",)),), other_flags, use_flags),
     ]
-    with contextlib.suppress(ImportError):
-        import rosbags  # noqa: F401  # an extra
-
+    if importlib.util.find_spec("rosbags") is not None:  # an extra
         bags = tuple(bag_seed(kind) for kind in ("bag", "db3"))
         mcap = tuple(bag_seed(kind) for kind in ("mcap", "single mcap"))
         found.append(Target("bag", bags, change(mutated_bytes), step_all))

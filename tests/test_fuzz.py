@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("resource", reason="the fuzzer bounds its processes as POSIX does")
+
 from fuzz.mutations import DTYPES, mutated_array
 from fuzz.pool import Mutant, Outcome, try_mutant
 from fuzz.targets import Seed, Target, Use, all_targets, step_all, write_files

@@ -22,7 +22,7 @@ from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3, so3
 from probevo.live import MAX_FAILURES, MOST_UNREAD
-from probevo.sequences.frame import Frame, StereoFeatures
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
 
@@ -123,6 +123,29 @@ def test_an_estimate_comes_at_most_waiting_plus_one_steps_after_its_frame(waitin
         odometry.go.release(waiting)
     assert max(late) <= waiting + 1
     assert live.num_dropped > 100
+
+
+def test_what_waits_has_arrays_of_its_own() -> None:
+    """A driver may use its arrays of features and samples again."""
+    gated = Gated()
+    (frame,) = drive(np.random.default_rng(0), 1)
+    assert frame.features is not None
+    pixels = frame.features.pixels.copy()
+    samples = ImuSamples(np.array([0, FRAME_NS]), np.ones((2, 3)), np.ones((2, 3)))
+    with pv.LiveOdometry(gated) as live:  # type: ignore[arg-type]
+        live.push(frame)
+        gated.has_begun(0)
+        features = StereoFeatures(frame.features.ids, pixels)
+        stamp_ns = frame.stamp_ns + FRAME_NS
+        live.push(Frame(1, stamp_ns, features=features, imu=samples))
+        pixels[:] = 0.0
+        samples.gyro_rad_s[:] = 0.0
+        gated.go.release(2)
+        waited = gated.begun.get(timeout=PATIENCE_S)
+        assert waited.features is not None
+        assert waited.imu is not None
+        np.testing.assert_array_equal(waited.features.pixels, frame.features.pixels)
+        np.testing.assert_array_equal(waited.imu.gyro_rad_s, 1.0)
 
 
 def test_estimates_go_to_the_callback() -> None:

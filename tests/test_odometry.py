@@ -580,6 +580,20 @@ def test_images_that_overwrite_those_before_are_refused() -> None:
     assert odometry.step(Frame(1, 10**8, left.copy(), right=right.copy())).status is not OK
 
 
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_pose_that_was_returned_may_be_written_to(estimator: str) -> None:
+    """Into millimetres, say."""
+    frames = drive(np.random.default_rng(4), 6)
+    config = PLAIN.model_copy(update={"estimator": estimator})
+    motions = run(frames, config)
+    odometry = pv.StereoOdometry(CAMERA, config=config)
+    for frame, expected in zip(frames, motions, strict=True):
+        motion = odometry.step(frame)
+        np.testing.assert_array_equal(motion.T_world_cam, expected.T_world_cam)
+        motion.T_world_cam[:3, 3] *= 1000.0
+        motion.pose_cov[:] = np.nan
+
+
 def test_images_that_overwrite_those_of_the_last_usable_frame_are_refused(tmp_path: Path) -> None:
     """A driver with two buffers: behind a black frame, features are searched for that are in the
     buffer which it has just filled again."""

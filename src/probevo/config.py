@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from probevo.settings import Settings
 
@@ -52,7 +52,7 @@ class TrackingConfig(Settings):
         le=201,
         description=(
             "Side of the box whose mean is subtracted from the image, against vignetting and"
-            " changes of exposure; 0 switches it off."
+            " changes of exposure, 3 or more; 0 switches it off."
         ),
     )
     max_difference: float | None = Field(
@@ -81,6 +81,14 @@ class TrackingConfig(Settings):
             "Least disparity of a stereo match; 0, because distant points constrain the rotation."
         ),
     )
+
+    @field_validator("high_pass_px")
+    @classmethod
+    def _has_a_mean(cls, side_px: int) -> int:
+        """Refuse boxes whose mean is the image itself, or nearly so: they would leave nothing."""
+        if side_px in (1, 2):
+            raise ValueError("a box of 1 or 2 px leaves nothing of the image; take 0, or 3 or more")
+        return side_px
 
 
 class RansacConfig(Settings):

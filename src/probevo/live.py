@@ -17,7 +17,12 @@ from probevo.errors import InputError, brief
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
-from probevo.sequences.validation import usable_imu, validated, with_plain_arrays
+from probevo.sequences.validation import (
+    usable_imu,
+    validated,
+    with_copied_arrays,
+    with_plain_arrays,
+)
 
 MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
@@ -188,8 +193,8 @@ class LiveOdometry:
     def push(self, frame: Frame) -> None:
         """Pass the next frame; never blocks for a step.
 
-        Its images are not copied, so they must not be overwritten. Its IMU samples cover the time
-        since the last pushed frame, whether that was dropped or not.
+        Its images are not copied, so they must not be overwritten; features and IMU samples are.
+        The samples cover the time since the last pushed frame, whether that was dropped or not.
 
         Raises:
             InputError: the frame is not later than the previous one, or does not match the camera.
@@ -211,6 +216,7 @@ class LiveOdometry:
                 self._num_refused += 1
                 self._keep_imu(usable_imu(frame))
                 raise
+            frame = with_copied_arrays(frame)
             self._newest = frame
             if self._refused_imu is not None:
                 frame = replace(frame, imu=_joined_samples(self._refused_imu, frame.imu))

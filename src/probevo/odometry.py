@@ -405,8 +405,9 @@ class StereoOdometry:
             T_of_images = solved.recovery.path.closed(of_images).T_curr_prev
         estimate = replace(
             motion,
-            T_world_cam=fusion.pose.T_world_cam,
-            pose_cov=fusion.pose.cov,
+            # Copies: the caller may write to them.
+            T_world_cam=fusion.pose.T_world_cam.copy(),
+            pose_cov=fusion.pose.cov.copy(),
             noise_factor=state.noise_scale.factor,
             sensors=outcomes,
             imu_left_out=inertial.reason_left_out(window),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,3 +131,9 @@ def test_a_principal_point_a_hundred_focal_lengths_away_is_refused() -> None:
     check_camera(dataclasses.replace(camera, cu_px=99.0 * CAMERA.fu_px), "tracks.npz")
     with pytest.raises(InputError, match=r"tracks\.npz: cu_px is 1e\+09 px, with a focal length"):
         check_camera(dataclasses.replace(camera, cu_px=1e9), "tracks.npz")
+
+
+@pytest.mark.parametrize("size_px", [[1241, 376], np.array([1241, 376])])
+def test_a_size_may_be_a_list(size_px: Any) -> None:
+    """As in a file of Kalibr."""
+    assert dataclasses.replace(CAMERA, size_px=size_px) == CAMERA

@@ -286,6 +286,38 @@ def test_a_measurement_of_the_motion_has_the_weight_of_the_solve() -> None:
     assert weight < 0.01
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_what_is_no_number_is_no_measurement(value: float, estimator: str) -> None:
+    """As a receiver gives before its first fix."""
+    frames = drive(np.random.default_rng(1), 8, points=60)
+
+    def faulty(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        curr = pose_of(frame.index)
+        prev = pose_of(prev_frame.index)
+        return [TravelledDistance(value, 0.02, curr, prev), Heading(curr, value, 0.1)]
+
+    odometry = pv.StereoOdometry(CAMERA, config={"estimator": estimator}, sensors=[faulty])
+    motions = [odometry.step(frame) for frame in frames]
+    without = pv.StereoOdometry(CAMERA, config={"estimator": estimator})
+    for motion, frame in zip(motions, frames, strict=True):
+        np.testing.assert_array_equal(motion.T_world_cam, without.step(frame).T_world_cam)
+    assert [one.sensors[0].reason for one in motions[1:]] == ["not a finite value"] * 7
+
+
+def test_a_motion_from_no_pose_is_refused() -> None:
+    """It would be taken for the pose itself."""
+    frames = drive(np.random.default_rng(1), 2, points=60)
+
+    def wheels(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        return [TravelledDistance(1.0, 0.02, pose_of(frame.index))]
+
+    odometry = pv.StereoOdometry(CAMERA, sensors=[wheels])
+    odometry.step(frames[0])
+    with pytest.raises(InputError, match=r"sensor wheels: (?s:.*)prev=pose_of"):
+        odometry.step(frames[1])
+
+
 WHEEL_SIGMA_M = 0.02
 
 

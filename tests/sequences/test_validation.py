@@ -204,3 +204,9 @@ def test_a_feature_just_within_the_bound_does_no_harm(column: int) -> None:
             pixels = with_value(each.features.pixels, (7, column), LARGEST_PIXEL_PX)
             each = replace(each, features=replace(each.features, pixels=pixels))
         assert odometry.step(each).status in (pv.Status.FIRST, pv.Status.OK)
+
+
+def test_samples_of_a_frame_with_faulty_features_go_on() -> None:
+    samples = ImuSamples(np.array([0, 10**8]), np.ones((2, 3)), np.ones((2, 3)))
+    features = StereoFeatures(np.zeros(2), np.zeros((2, 4)))  # identities are no floats
+    assert usable_imu(Frame(1, 10**8, features=features, imu=samples)) is not None

@@ -64,3 +64,9 @@ def test_images_prepared_ahead_serve_either_estimator(estimator: str) -> None:
 def test_features_need_no_preparation() -> None:
     frame = Frame(0, 0, features=StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4))))
     assert list(prepare_ahead([frame], CONFIG)) == [frame]
+
+
+@pytest.mark.parametrize("side_px", [1, 2])
+def test_a_box_that_leaves_nothing_of_the_image_is_refused(side_px: int) -> None:
+    with pytest.raises(ValueError, match="leaves nothing"):
+        TrackingConfig(high_pass_px=side_px)

@@ -32,6 +32,11 @@ class StereoCamera:
     size_px: tuple[int, int] | None = None
     """(width, height) of the images; None where only features are known."""
 
+    def __post_init__(self) -> None:
+        """Take a size that is a list, as YAML has it, for the tuple that it is compared with."""
+        if isinstance(self.size_px, list | np.ndarray):
+            object.__setattr__(self, "size_px", tuple(int(side) for side in self.size_px))
+
     @staticmethod
     def centered(focal_px: float, baseline_m: float, size_px: tuple[int, int]) -> StereoCamera:
         """Return a camera with square pixels and its principal point in the image centre.

@@ -6,9 +6,13 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from probevo.errors import InputError
-from probevo.measurements.base import Measurement, Variable, VectorMeasurement, pose_of
+from probevo.geometry import se3
+from probevo.measurements.base import Measurement, Values, Variable, VectorMeasurement, pose_of
 from probevo.measurements.north import NORTH
+from probevo.measurements.relative import RelativeMeasurement
 from probevo.sequences.frame import Frame
 
 
@@ -65,7 +69,8 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
 
     Raises:
         InputError: the answer is neither a list of measurements nor a reason, or a measurement is
-            not one of the current pose. Exceptions of the sensor itself are passed on.
+            not one of the current pose, or one of the motion from an unknown pose. Exceptions of
+            the sensor itself are passed on.
     """
     answer = sensor(prev_frame, frame)
     if isinstance(answer, NoMeasurement):
@@ -78,7 +83,27 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
             what = f"it returned a list with {type(measurement).__name__}."
             raise InputError(f"sensor {name}", what, "Its items are measurements.")
         _check_poses(measurement, f"sensor {name}", prev_frame, frame)
-    return Reading(name, tuple(answer))
+    finite = tuple(one for one in answer if _is_finite(one))
+    if answer and not finite:
+        return Reading(name, reason="not a finite value")
+    return Reading(name, finite)
+
+
+def _is_finite(measurement: Measurement) -> bool:
+    """Return whether a measurement has a value: NaN is what a receiver gives before its first
+    fix."""
+    is_of_poses = all(one == NORTH or one.kind == pose_of(0).kind for one in measurement.variables)
+    if not isinstance(measurement, VectorMeasurement) or not is_of_poses:
+        return True
+    # Any poses will do, if no motion between them is special.
+    values: Values = {
+        variable: np.full(3, 0.1) if variable == NORTH else se3.exp(0.1 * k * np.arange(1.0, 7.0))
+        for k, variable in enumerate(measurement.variables, start=1)
+    }
+    try:
+        return bool(np.isfinite(measurement.residual(values)).all())
+    except (ValueError, OverflowError):
+        return False
 
 
 def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame: Frame) -> None:
@@ -95,6 +120,9 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
         what = f"at frame {frame.index} it measured the pose of frame {frames}."
         cure = "Measure that of the current frame, alone or together with that of the previous one."
         raise InputError(where, what, cure)
+    if isinstance(measurement, RelativeMeasurement) and measurement.prev is None:
+        what = f"at frame {frame.index} it measured a motion, and did not say from which pose."
+        raise InputError(where, what, "Give it: prev=pose_of(prev_frame.index).")
 
 
 def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:

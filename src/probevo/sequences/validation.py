@@ -120,10 +120,27 @@ def with_plain_arrays(frame: Frame) -> Frame:
     return replace(frame, features=features, imu=imu)
 
 
+def with_copied_arrays(frame: Frame) -> Frame:
+    """Return the frame with features and IMU samples of its own, which nobody else overwrites."""
+    features = frame.features
+    if features is not None:
+        features = StereoFeatures(features.ids.copy(), features.pixels.copy())
+    imu = frame.imu
+    if imu is not None:
+        imu = ImuSamples(
+            stamps_ns=imu.stamps_ns.copy(),
+            gyro_rad_s=imu.gyro_rad_s.copy(),
+            accel_m_s2=imu.accel_m_s2.copy(),
+        )
+    return replace(frame, features=features, imu=imu)
+
+
 def usable_imu(frame: Frame) -> ImuSamples | None:
     """Return the IMU samples of a refused frame, for the next one; None if they are faulty."""
+    if not isinstance(frame, Frame):
+        return None
     try:
-        imu = with_plain_arrays(frame).imu
+        imu = with_plain_arrays(replace(frame, features=None)).imu
     except InputError:
         return None
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
