@@ -9,6 +9,8 @@ PROBE-GK            Table I (thesis Table 1.2): four kinds of    table_1_2*     
                     place
 PROBE-GK            Table II and Fig. 8 (thesis Table 1.3 and    table_1_3*     paper table-1.3
                     Fig. 1.20): loops, EM without truth
+thesis chapter 5    a simulated sun sensor bounds the heading    sun*           paper sun
+thesis chapter 6    DPC-Net: corrections of a wrong calibration  dpc_net*       paper dpc-net
 thesis chapter 7    HydraNet: 1-D regression, orbiting camera    hydranet*      paper hydranet
 ==================  ===========================================  =============  ================
 

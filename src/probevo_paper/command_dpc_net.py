@@ -95,7 +95,7 @@ def _drive(settings: DpcNetConfig, number: int, out: Path) -> Sequence:
 
 def _seen(drive: Sequence, calibration: str, settings: DpcNetConfig) -> Sequence:
     """Return a drive with a right or a wrong calibration."""
-    if calibration == RIGHT:
+    if calibration == RIGHT or not (settings.focal_error or settings.radial_distortion):
         return drive
     wrong = SpoilConfig(
         preset="calibration",

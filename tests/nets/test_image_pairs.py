@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,20 @@ def test_the_rotations_are_those_of_the_truth(tmp_path: Path) -> None:
     pairs = read_pairs(open_sequence(write_wall(tmp_path, frames=5)), 4)
     assert len(pairs) == 3
     np.testing.assert_allclose(pairs.rotations, np.tile(STEP[3:], (3, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("repeats", "count"), [(0, 6), (1, 4), (3, 2)])
+def test_images_that_stand_still_while_the_camera_moves_make_no_pair(
+    tmp_path: Path, repeats: int, count: int
+) -> None:
+    """Nor does the next one: it shows the motion of all these frames."""
+    folder = write_wall(tmp_path, frames=7)
+    for side in ("left", "right"):
+        for k in range(repeats):
+            shutil.copy(folder / side / "000002.png", folder / side / f"{3 + k:06d}.png")
+    pairs = read_pairs(open_sequence(folder), 7)
+    assert len(pairs) == count
+    np.testing.assert_allclose(pairs.rotations, np.tile(STEP[3:], (count, 1)), atol=1e-9)
 
 
 def test_the_flow_is_that_of_the_images(tmp_path: Path) -> None:

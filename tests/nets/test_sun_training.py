@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from probevo.errors import InputError  # noqa: E402
 from probevo.measurements.direction import Direction  # noqa: E402
 from probevo.measurements.north import NORTH  # noqa: E402
 from probevo.measurements.sensor import NoMeasurement  # noqa: E402
+from probevo.nets.recorded_training import _origin  # noqa: E402
 from probevo.nets.sun_network import SPACE, SunNetwork  # noqa: E402
 from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
 from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
@@ -46,6 +48,16 @@ def model(walls: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("model") / "sun.safetensors"
     train_sun([open_sequence(wall) for wall in walls], SETTINGS, out)
     return out
+
+
+def test_work_of_one_recording_is_not_taken_for_that_of_another(
+    walls: list[Path], tmp_path: Path
+) -> None:
+    """Rendered alike, but for the light: names, stamps, camera and truth are the same."""
+    brighter = shutil.copytree(walls[0], tmp_path / walls[0].name)
+    (brighter / "sun.txt").write_text("1.2 1.28 0.96\n")
+    origins = {_origin(open_sequence(path)) for path in (walls[0], brighter, walls[0])}
+    assert len(origins) == 2
 
 
 def test_the_directions_are_those_of_the_sun_in_each_camera(walls: list[Path]) -> None:
@@ -178,6 +190,10 @@ def test_it_measures_twice_a_second_and_not_without_an_image(
     np.testing.assert_allclose(measured[0][0].known, SUN, atol=1e-12)
     blind = replace(frames[5], left=None, prepared=None)
     assert sensor(frames[4], blind) == NoMeasurement("no image")
+    frozen = replace(frames[5], left=frames[4].left)
+    assert sensor(frames[4], frozen) == NoMeasurement("repeated image")
+    behind = replace(frames[4], left=None)  # as the odometry hands on what was frozen
+    assert sensor(behind, frames[5]) == NoMeasurement("repeated image")
     network = SunNetwork.load(model)
     in_enu = SunFromImages(network, sequence.camera, lambda _: SUN, north=NORTH)
     (direction,) = list(in_enu(frames[4], frames[5]))

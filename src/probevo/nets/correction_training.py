@@ -68,7 +68,7 @@ def train_correction(
         What was learned, in lines for the terminal.
 
     Raises:
-        InputError: the odometry has a window, there are too few steps, or as ``train_task`` raises.
+        InputError: there are too few steps, or as ``train_task`` raises.
     """
     config = odometry or OdometryConfig(estimator="two-frame")
     task = Task(

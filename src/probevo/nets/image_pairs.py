@@ -82,7 +82,8 @@ def read_pairs(
 ) -> ImagePairs:
     """Go through a recording, and return the pairs whose true rotation is known.
 
-    An image that repeats the previous one shows no motion, and makes no pair.
+    An image that repeats the previous one shows no motion, and makes no pair. If the camera has
+    moved meanwhile, the image is an older one, and makes none with the next image, either.
 
     Args:
         sequence: the recording.
@@ -97,16 +98,20 @@ def read_pairs(
     fields = []
     rotations = []
     prev_left = None
+    is_prev_stale = False
     for frame in islice(sequence, num_frames):
         if frame.left is None:
             raise InputError(sequence.path, "there are no images.", "Networks need images.")
         k = frame.index
         is_repeated = prev_left is None or np.array_equal(prev_left, frame.left)
-        if prev_left is not None and not is_repeated and is_known[k - 1 : k + 1].all():
+        is_stale = is_repeated or is_prev_stale
+        if prev_left is not None and not is_stale and is_known[k - 1 : k + 1].all():
             C_world_prev, C_world_curr = T_world_cam[k - 1 : k + 1, :3, :3]
             fields.append(field_of_images(prev_left, frame.left, sequence.camera))
             # C_curr_prev = C_curr_world C_world_prev
             rotations.append(so3.log(C_world_curr.T @ C_world_prev))
+        has_moved = k > 0 and not np.array_equal(T_world_cam[k - 1], T_world_cam[k])
+        is_prev_stale = prev_left is not None and is_repeated and has_moved
         prev_left = frame.left
         if on_frame is not None:
             on_frame(k + 1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from collections.abc import Sequence as Collection
 from contextlib import suppress
@@ -21,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.nets import methods
@@ -29,6 +31,7 @@ from probevo.nets.extra import require_nets
 from probevo.nets.image_pairs import facts_of
 from probevo.nets.learning import Learned, LearningPlan, TrainingData, learn
 from probevo.nets.methods import Build, Method
+from probevo.nets.sun_views import SUN_FILE
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
@@ -52,6 +55,8 @@ class TrainingRun:
     settings: NetworkSettings
     recordings: list[dict[str, Any]]
     """Facts of all recordings, in order; the last ``left_out`` are left out."""
+    origins: list[str]
+    """What else the samples of each recording depend on (``_origin``)."""
     num_frames: int
     """Number of frames of all recordings."""
     folder: Path
@@ -92,7 +97,7 @@ class TrainingRun:
         """
         settings = self.settings
         # The file's name depends on all that the training depends on.
-        key = [self.recordings, settings.model_dump(mode="json"), self.extra]
+        key = [self.recordings, self.origins, settings.model_dump(mode="json"), self.extra]
         trained = learn(
             method,
             space,
@@ -213,6 +218,7 @@ def train_task(
         run = TrainingRun(
             settings,
             [facts_of(sequence, count) for sequence, count in zip(recordings, counts, strict=True)],
+            origins=[_origin(sequence) for sequence in recordings],
             num_frames=sum(counts),
             folder=folder,
             extra=task.extra,
@@ -230,6 +236,24 @@ def train_task(
     return network
 
 
+def _origin(sequence: Sequence) -> str:
+    """Return a digest of where a recording is and what it shows, for the names of files of work.
+
+    Two drives that are rendered alike but for their light have the same facts. The network's file
+    does not depend on it: recordings may be moved.
+    """
+    origin = hashlib.sha256(os.fsencode(sequence.path.resolve()))
+    origin.update(__version__.encode())
+    origin.update(repr(sequence.imu).encode())
+    first = next(iter(sequence))
+    if first.left is not None:
+        origin.update(first.left.tobytes())
+    sun = sequence.path / SUN_FILE
+    if sun.is_file():
+        origin.update(sun.read_bytes())
+    return origin.hexdigest()
+
+
 def _read_all(
     task: Task[Samples],
     recordings: Collection[Sequence],
@@ -241,7 +265,8 @@ def _read_all(
     for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
         done = sum(counts[:number])
         # The name depends on all that the samples depend on.
-        file = run.folder / f"samples-{_digest([run.recordings[number], task.extra])}.npz"
+        key = [run.recordings[number], run.origins[number], task.extra]
+        file = run.folder / f"samples-{_digest(key)}.npz"
         found = read_samples(file, task.samples)
         if found is None:
             show = partial(_show_frames, run.on_progress, done, run.total)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.measurements.base import Variable, pose_of
@@ -70,6 +72,10 @@ class SunFromImages:
             return NoMeasurement("not yet again")
         if frame.left is None:
             return NoMeasurement("no image")
+        # An image that is repeated is of an earlier pose; behind several, the previous frame has
+        # none.
+        if prev_frame.left is None or np.array_equal(prev_frame.left, frame.left):
+            return NoMeasurement("repeated image")
         found = self.network.estimate(sun_field(frame.left, self.camera)[None])
         if has_nothing_to_say(float(found.widening[0])):
             return NoMeasurement("out of its domain")

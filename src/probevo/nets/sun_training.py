@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.nets.calibration import BLOCK, Claimed, calibration
-from probevo.nets.covariance_scale import coverage
+from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import Domain
 from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
 from probevo.nets.methods import Method
@@ -182,17 +182,16 @@ def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwor
     # How much more blocks ask for once single errors are consistent
     single = [Claimed(each.errors, found.scale_single * each.covariances) for each in claimed]
     with_single = calibration(single)
-    angles = np.concatenate([np.linalg.norm(each.errors, axis=1) for each in claimed])
+    errors = np.concatenate([each.errors for each in single])
+    covariances = np.concatenate([each.covariances for each in single])
+    angles = np.linalg.norm(errors, axis=1)
     facts = {
         **network.facts,
         **found.facts(),
+        "nll": float(np.mean(negative_log_likelihoods(errors, covariances))),
         "scale": found.scale_single,
         "correlation": max(with_single.scale_blocks, 1.0),
-        "coverage_90": coverage(
-            np.concatenate([each.errors for each in single]),
-            np.concatenate([each.covariances for each in single]),
-            0.9,
-        ),
+        "coverage_90": coverage(errors, covariances, 0.9),
         "error_deg": float(np.degrees(np.median(angles))),
     }
     return SunNetwork(network.networks, network.domain, facts)

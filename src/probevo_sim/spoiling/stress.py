@@ -197,7 +197,7 @@ def stress(
         picture = _Picture.of(cell) if cell.seed == config.seed else None
         if picture is not None and cell.severity < max(settings.severities):
             picture = None
-        picture_file = out / CELLS / f"{cell.preset}.jpg"
+        picture_file = out / CELLS / f"{cell.name}.jpg"
         found = _finished(file, key)
         if found is not None and (picture is None or picture_file.is_file()):
             num_resumed += 1
