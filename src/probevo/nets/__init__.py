@@ -23,7 +23,7 @@ module                     what it holds
 ``rotation_…``             network of rotations, its training, and the sensor
 ``estimated_steps``        steps of an odometry with their images and true corrections
 ``correction_…``           network of corrections, its targets, its training, and the sensor
-``sun_…``                  network of the sun, what it sees and regresses, its training, and the sensor
+``sun_…``                  network of the sun, what it regresses, its training, and the sensor
 ``triangular_covariance``  covariances that a head may give, whatever its outputs are
 ``covariance_scale``       calibration of predicted covariances on data left out
 ``extra``                  says what to install where JAX is missing
