@@ -17,7 +17,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
-    eta_of_two_frames,
+    evaluated_at,
     solve_reprojection,
 )
 from probevo.geometry import se3
@@ -152,12 +152,7 @@ def _agree(
     """Return which matches are as near to a solve, to its motion and to its jitter of the rig, as
     their noise explains, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
-    squared = solve_reprojection(
-        observations,
-        guess=solution.T_curr_prev,
-        eta=eta_of_two_frames(solution, observations),
-        max_iterations=0,
-    ).squared
+    squared = evaluated_at(solution, observations).squared
     dof = np.broadcast_to(noise.dof, (len(tracks),))
     return (squared < BEHIND) & (tail_probability_of(squared, dof) > LEAST_TAIL)
 

@@ -118,19 +118,6 @@ class ReprojectionSolution:
         return self.cov if self.jitter is None else self.jitter.cov
 
 
-def eta_of_two_frames(
-    solution: ReprojectionSolution, observations: StereoObservations
-) -> FloatArray | None:
-    """Express the jitter of a solve in standard deviations of the jitter's prior for these two
-    frames alone, [6]; None without a jitter."""
-    if solution.jitter is None or observations.jitter is None:
-        return None
-    # Without the filter, the jitter of either frame has the prior N(0, S), of root L'.
-    root = observations.jitter.curr_root
-    both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
-    return np.linalg.solve(root, both).astype(float).T.ravel()
-
-
 def solve_reprojection(
     observations: StereoObservations,
     *,
@@ -213,6 +200,24 @@ def solve_reprojection(
         converged=optimum.converged,
         jitter=jitter,
     )
+
+
+def evaluated_at(
+    solution: ReprojectionSolution, observations: StereoObservations
+) -> ReprojectionSolution:
+    """Evaluate N features at the motion of a solve, and at its jitter of the rig, without solving.
+
+    Args:
+        solution: the solve; its features may be others, or have had filtered disparities.
+        observations: the features, of two frames alone.
+    """
+    eta = None
+    if solution.jitter is not None and observations.jitter is not None:
+        # Without the filter, the jitter of either frame has the prior N(0, S), of root L'.
+        root = observations.jitter.curr_root
+        both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
+        eta = np.linalg.solve(root, both).astype(float).T.ravel()
+    return solve_reprojection(observations, guess=solution.T_curr_prev, eta=eta, max_iterations=0)
 
 
 def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:

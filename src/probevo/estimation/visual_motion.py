@@ -27,8 +27,7 @@ from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
-    eta_of_two_frames,
-    solve_reprojection,
+    evaluated_at,
 )
 from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -412,12 +411,7 @@ class VisualEstimator:
             camera=self._camera,
             loss=RobustLoss.named(self._config.solver.loss),
         )
-        return solve_reprojection(
-            observations,
-            guess=solution.T_curr_prev,
-            eta=eta_of_two_frames(solution, observations),
-            max_iterations=0,
-        )
+        return evaluated_at(solution, observations)
 
     def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
         """Whether most residuals are larger than the predicted noise explains.
@@ -450,12 +444,7 @@ class VisualEstimator:
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
-        squared = solve_reprojection(
-            observations,
-            guess=solution.T_curr_prev,
-            eta=eta_of_two_frames(solution, observations),
-            max_iterations=0,
-        ).squared
+        squared = evaluated_at(solution, observations).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _scale_shown(squared, noise)
         agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
