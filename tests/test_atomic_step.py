@@ -282,7 +282,7 @@ STAGES = {
         "probevo.estimation.two_frame", "update_with_common_mode", content=WITHOUT_WINDOW
     ),
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
-    "solve from two frames": Stage("probevo.estimation.visual_motion", "solve_reprojection"),
+    "solve from two frames": Stage("probevo.estimation.visual_motion", "evaluated_at"),
     "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
     "rig update": Stage("probevo.estimation.self_calibration", "update_rig"),
     "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated"),
