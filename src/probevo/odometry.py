@@ -120,7 +120,7 @@ class StereoOdometry:
         clock = StageClock(decode=frame.decode_ms)
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
-        measured = self._measure(prediction)  # measurements/: gyro, and sensors plugged in
+        measured = self._measure(prediction, clock)  # measurements/: gyro, sensors plugged in
         solved = self._estimate(observed, measured, clock)  # noise/, estimation/: φ → R → motion
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
@@ -288,7 +288,7 @@ class StereoOdometry:
         prediction = replace(prediction, frame=frame)
         return Observed(prediction, tracked, corrected, phi, is_frozen)
 
-    def _measure(self, prediction: Prediction) -> Measured:
+    def _measure(self, prediction: Prediction, clock: StageClock) -> Measured:
         """Collect the measurements of the gyro and of all sensors that are not excluded.
 
         By default the gyro only predicts; with ``gyro.prior`` its rotation is a measurement, too.
@@ -307,6 +307,8 @@ class StereoOdometry:
         of_motion: list[Measurement] = []
         for reading in readings:
             of_motion += reading.of_motion(pose_of(frame.index))
+        if self.sensors:
+            clock.lap("sensors")
         return Measured(by_gyro, of_motion, readings)
 
     def _estimate(self, observed: Observed, measured: Measured, clock: StageClock) -> Solved:
@@ -376,6 +378,8 @@ class StereoOdometry:
         motion, readings = with_correction(
             of_images, readings, self._suite, frames=(state.frame, frame)
         )
+        if self.sensors:
+            clock.lap("sensors")
         # The pose: from the window, or by compounding the motion.
         window = None
         if prediction.window is not None:
@@ -399,6 +403,7 @@ class StereoOdometry:
                 self.config.north,
                 of_motion=solve_innovations(readings, pose, solution),
             )
+            clock.lap("sensors")
         # The estimate and the state. The features keep the motion of this step by the images alone.
         T_of_images = of_images.T_curr_prev
         if solved.recovery is not None:

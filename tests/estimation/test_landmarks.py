@@ -58,6 +58,10 @@ def test_a_student_t_has_the_covariance_of_its_degrees_of_freedom() -> None:
     gaussian = triangulated(ids, pixels, noise_of(0.04 * np.eye(4), 5), CAMERA)
     student = triangulated(ids, pixels, noise_of(0.04 * np.eye(4), 5, dof=4.0), CAMERA)
     np.testing.assert_allclose(student.cov_m2, 2.0 * gaussian.cov_m2)
+    # With heavier tails it would be infinite: that of ν = 3 then, never a smaller one.
+    for dof in (1.5, 2.0, 2.05, 3.0):
+        heavy = triangulated(ids, pixels, noise_of(0.04 * np.eye(4), 5, dof=dof), CAMERA)
+        np.testing.assert_allclose(heavy.cov_m2, 3.0 * gaussian.cov_m2)
 
 
 def test_points_at_infinity_are_left_out() -> None:

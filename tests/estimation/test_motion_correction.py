@@ -23,8 +23,9 @@ from probevo.measurements.base import pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement
-from probevo.noise import Fixed
+from probevo.noise import Fixed, StereoNoise
 from probevo.sequences.frame import Frame
+from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, drive, motion_error
 
 SIGMA_PX = 0.2
@@ -211,6 +212,22 @@ def test_where_the_features_fix_no_motion_the_corrected_one_counts_once() -> Non
     cov = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
     motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
     after = by.without_features(window, frame, motion, [motion])
+    _, found = after.relative(len(after) - 1, len(after) - 2)
+    np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
+
+
+def test_a_corrected_motion_that_stands_for_the_features_counts_in_full() -> None:
+    """Beside them, its covariance would be inflated, for its share of their information."""
+    window = driven(0, CAMERA).window
+    by = WindowEstimator(CAMERA, pv.OdometryConfig.model_validate(SETTINGS))
+    frame = int(window.frames[-1]) + 1
+    cov = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
+    motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
+    none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
+    # The pose before is not connected with it either, so that the adjustment fixes no motion.
+    after = by.with_features(
+        window, frame, Tracks.none(), none, two_frames=motion, motion_factor=1e9
+    )
     _, found = after.relative(len(after) - 1, len(after) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
 

@@ -369,7 +369,7 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
     # A degree askew, and six milliseconds late.
     unmodelled_rad = 0.02 * np.linalg.norm(angle)
     unmodelled_rad += 0.006 * np.linalg.norm(angle / STEP_S - TWIST_S[3:])
-    expected_cov = gyro.cov + (unmodelled_rad**2 + LEAST_SIGMA**2) * np.eye(3)
+    expected_cov = gyro.covariance + (unmodelled_rad**2 + LEAST_SIGMA**2) * np.eye(3)
     np.testing.assert_allclose(aided.cov[3:, 3:], expected_cov, rtol=1e-9)
     np.testing.assert_array_equal(aided.cov[:3, :3], unaided.cov[:3, :3])
     np.testing.assert_array_equal(aided.T_curr_prev[:3, 3], unaided.T_curr_prev[:3, 3])

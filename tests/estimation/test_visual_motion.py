@@ -304,6 +304,20 @@ def test_noise_that_is_larger_than_predicted_enlarges_the_covariance() -> None:
     assert low < np.mean(nees) < 7.5
 
 
+def test_the_evaluation_of_two_frames_is_as_uncertain_with_another_measurement() -> None:
+    """It has the enlarged covariance, too, whether or not it is evaluated again; the gyro knows
+    next to nothing here."""
+    tracks = seen_twice(np.random.default_rng(3), 100, sigma_px=0.4, depth_m=(4.0, 10.0))
+    noise = StudentT(5.0, 0.04 * np.eye(4))
+    gyro = RelativeRotation(np.eye(3), 1e4 * np.eye(3), MOTION)
+    with_prior = OdometryConfig(gyro=GyroConfig(prior=True))
+    alone = estimate(tracks, noise=noise).two_frames_only
+    beside = estimate(tracks, gyro=gyro, config=with_prior, noise=noise).two_frames_only
+    assert alone is not None
+    assert beside is not None
+    np.testing.assert_allclose(np.diag(beside.cov), np.diag(alone.cov), rtol=0.02)
+
+
 @pytest.mark.parametrize("num_outliers", [0, 40])
 def test_a_motion_that_few_confirm_is_claimed_with_care(num_outliers: int) -> None:
     """Twice as much noise as the model says: less than a third of the features agree as well as the

@@ -189,6 +189,7 @@ def test_residuals_and_jacobians_of_all_features(scenes: list[Scene]) -> None:
             white=np.empty((NUM_POINTS, 4, 6)),
             disparity=np.empty((NUM_POINTS, 4)),
             squared=np.empty(len(scene.seen)),
+            contributes=np.empty(len(scene.seen), dtype=np.bool_),
         )
         residual_jacobians(
             np.ascontiguousarray(scene.T),

@@ -190,6 +190,23 @@ def test_propagation_yields_a_new_value() -> None:
     assert np.abs(found - observations.propagated_noise.information).max() > 1e-3
 
 
+def test_a_feature_that_is_far_off_counts_as_it_did_in_the_solve() -> None:
+    """By 40 px, with a σ of 0.1 px: by least squares, its weight is one like any other's."""
+    tracks = seen_twice(np.random.default_rng(8), 5)
+    curr_px = tracks.curr_px.copy()
+    curr_px[0] += 40.0
+    noise = StudentT(np.inf, 0.01 * np.eye(4)).predict(np.zeros((5, 0)))
+    observations = StereoObservations.of(
+        tracks.prev_px, curr_px, noise, camera=CAMERA, poses=PosePair(CURR)
+    ).propagated({CURR: FORWARD})
+    outcome = observations.outcome({CURR: FORWARD})
+    assert outcome.squared[0] > BEHIND
+    assert not outcome.gated.any()
+    np.testing.assert_array_equal(outcome.weight, np.ones(5))
+    solved = observations.linearize({CURR: FORWARD})
+    np.testing.assert_allclose(observations.at({CURR: FORWARD}).hessian, solved.hessian)
+
+
 def test_outcome_says_which_points_are_behind_the_camera() -> None:
     """Half a metre ahead: the camera drives through it."""
     tracks = seen_twice(np.random.default_rng(7), 5)

@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from probevo.errors import InputError
 from probevo.noise.registry import noise_kinds
 from probevo.predictors import prediction_space
+from probevo.training import trainer as trainer_module
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.trainer import Trainer, trainer_of
 
@@ -37,6 +39,14 @@ def test_a_kind_without_a_trainer_is_refused(kind: str) -> None:
         trainer_of(kind)
     assert str(caught.value).startswith(f"--kind: {kind} cannot be trained.")
     assert all(name in caught.value.cure for name in TRAINED)
+
+
+def test_a_kind_whose_trainer_is_a_function_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = dict(noise_kinds())
+    kinds["gk"] = replace(kinds["gk"], trainer="probevo.training.gk.learn:learn_kernel")
+    monkeypatch.setattr(trainer_module, "noise_kinds", lambda: kinds)
+    with pytest.raises(InputError, match="learn_kernel, which learns gk, is no Trainer"):
+        trainer_of("gk")
 
 
 def test_training_imports_neither_the_runner_nor_the_pages() -> None:

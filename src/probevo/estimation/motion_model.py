@@ -166,7 +166,7 @@ class MotionModel:
             # The rotation no longer depends on the stamps: drop its cross-covariance.
             cov[3:] = 0.0
             cov[:, 3:] = 0.0
-            cov[3:, 3:] = gyro.cov + unmodelled_rad**2 * np.eye(3)
+            cov[3:, 3:] = gyro.covariance + unmodelled_rad**2 * np.eye(3)
             velocity_sensitivity[3:] = 0.0
         return MotionPrediction(
             T_curr_prev,

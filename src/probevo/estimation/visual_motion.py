@@ -399,7 +399,8 @@ class VisualEstimator:
 
         Calibration and predictors need the residuals of these two frames alone. Those against the
         filtered disparities depend on all earlier frames, which were corrected with the same
-        calibration: it would confirm itself.
+        calibration: it would confirm itself. Where the covariance of the motion was enlarged, so is
+        that of its evaluation.
         """
         solution = solve.estimate.solution
         if not solve.estimate.has_history.any() and not priors.measurements:
@@ -411,7 +412,8 @@ class VisualEstimator:
             camera=self._camera,
             loss=RobustLoss.named(self._config.solver.loss),
         )
-        return evaluated_at(solution, observations)
+        plain = evaluated_at(solution, observations)
+        return replace(plain, cov=solve.enlargement * plain.cov)
 
     def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
         """Whether most residuals are larger than the predicted noise explains.

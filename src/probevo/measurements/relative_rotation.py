@@ -33,7 +33,6 @@ class RelativeRotation(RelativeMeasurement):
     ) -> None:
         super().__init__(cov + LEAST_SIGMA_RAD**2 * np.eye(3), curr, prev)
         self.C_curr_prev = C_curr_prev
-        self.cov = cov
 
     def residual(self, values: Values) -> FloatArray:
         """Return −φ, [3], rad."""

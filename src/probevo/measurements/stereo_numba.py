@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
 from probevo.compiled import compiled, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
@@ -91,6 +91,8 @@ class StereoJacobians(NamedTuple):
     """∂h/∂d, how the disparity in the previous frame moves the prediction, [N, 4]."""
     squared: FloatArray
     """s = eᵀ Σ⁻¹ e, [N]; ``BEHIND`` for a point that does not contribute."""
+    contributes: BoolArray
+    """Which points contribute, [N]: those in front of the camera whose Σ is positive definite."""
 
 
 class FeatureWeights(NamedTuple):
@@ -436,6 +438,7 @@ def residual_jacobians(
             white[n] = 0.0
             disparity[n] = 0.0
             out.squared[n] = BEHIND
+            out.contributes[n] = False
             continue
         # e = y' − h(ŝ) − A (s − ŝ), as in ``normal_equations``, and its squared length.
         u = fu * X / Z
@@ -451,7 +454,8 @@ def residual_jacobians(
             for k in range(4):
                 total += information[n, i, k] * residual[n, k]
             squared += residual[n, i] * total
-        out.squared[n] = squared if information[n, 0, 0] > 0.0 else BEHIND
+        out.contributes[n] = information[n, 0, 0] > 0.0
+        out.squared[n] = squared if out.contributes[n] else BEHIND
         # F = ∂f/∂q. The left perturbation moves q by ρ δt + φ × q (ρ the inverse depth), and a
         # change of d moves it by t/(f_u b); d itself also stands in u_r = u_l − f_u b ρ/q_z.
         F[0, 0] = F[2, 0] = fu / Z
@@ -480,9 +484,9 @@ def residual_jacobians(
 
 @compiled
 def weigh(
-    loss: LossParameters, squared: FloatArray, weights: FeatureWeights
+    loss: LossParameters, squared: FloatArray, contributes: BoolArray, weights: FeatureWeights
 ) -> tuple[float, float]:
-    """Fill in the weights of residuals of squared lengths [N].
+    """Fill in the weights of residuals of squared lengths [N], of which some contribute [N].
 
     Returns Σ w² s / d, the scatter of the gradient, and Σ a.
     """
@@ -490,7 +494,7 @@ def weigh(
     curved = 0.0
     for n in range(len(squared)):
         s = squared[n]
-        if s >= BEHIND:
+        if not contributes[n]:
             weights.weight[n] = 0.0
             weights.curvature[n] = 0.0
             weights.relative[n] = 0.0

@@ -50,7 +50,6 @@ from probevo.measurements.relative import relative_motion
 from probevo.measurements.robust_loss import LEAST_VARIANCE_DOF, RobustLoss
 from probevo.measurements.robust_loss_numba import LossKind
 from probevo.measurements.stereo_numba import (
-    BEHIND,
     FeatureWeights,
     LossParameters,
     NormalEquations,
@@ -330,7 +329,7 @@ class StereoObservations:
         return Outcome(
             squared=at.squared,
             weight=at.weights.relative,
-            gated=np.asarray(at.squared >= BEHIND),
+            gated=~at.jacobians.contributes,
         )
 
     def at(self, values: Values) -> StereoResult:
@@ -343,6 +342,7 @@ class StereoObservations:
             white=np.empty((count, 4, 6)),
             disparity=np.empty((count, 4)),
             squared=np.empty(count),
+            contributes=np.empty(count, dtype=np.bool_),
         )
         residual_jacobians(
             T_curr_prev,
@@ -355,7 +355,9 @@ class StereoObservations:
         weights = FeatureWeights(
             weight=np.empty(count), curvature=np.empty(count), relative=np.empty(count)
         )
-        scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
+        scatter, curved = weigh(
+            self.loss_parameters, jacobians.squared, jacobians.contributes, weights
+        )
         points = self.points_at(values)
         # Information on (ξ, η), scaled to the observed residuals; the jitter's prior is exact, and
         # hence added after.

@@ -29,8 +29,8 @@ ENTRY_POINTS = "probevo.noise"
 class NoiseKind:
     """One kind of noise model, and the functions that make, read, train and show it.
 
-    ``trainer`` and ``inspection`` are written as ``module:function`` and imported on demand, so
-    that a run does not import what only training or a page needs.
+    ``trainer`` and ``inspection`` are written as ``module:name`` and imported on demand, so that a
+    run does not import what only training or a page needs.
     """
 
     name: str
@@ -44,9 +44,9 @@ class NoiseKind:
     from_file: Callable[[ModelFile], LearnedNoiseModel] | None = None
     """Reads a trained model; None for a kind that is never trained."""
     trainer: str = ""
-    """Function that learns a model from drives, ``module:function``; empty without training."""
+    """Its ``training.trainer.Trainer``, ``module:name``; empty for a kind that is never trained."""
     inspection: str = ""
-    """Function that makes the sections of its page in ``probevo inspect``, ``module:function``."""
+    """Function that makes the sections of its page in ``probevo inspect``, ``module:name``."""
 
 
 _BUILT_IN = (
@@ -62,7 +62,7 @@ _BUILT_IN = (
         summary="one Student-t for every observation",
         untrained=StudentT,
         from_file=StudentT.from_file,
-        trainer="probevo.training.gk.learn:train_student_t",
+        trainer="probevo.training.gk.learn:STUDENT_T_TRAINER",
         inspection="probevo.output.inspection.student_t:sections",
     ),
     NoiseKind(
@@ -70,7 +70,7 @@ _BUILT_IN = (
         model=NearestNeighbors,
         summary="PROBE: a weight for each feature from its nearest neighbours",
         from_file=NearestNeighbors.from_file,
-        trainer="probevo.training.probe.learn:train_knn",
+        trainer="probevo.training.probe.learn:KNN_TRAINER",
         inspection="probevo.output.inspection.knn:sections",
     ),
     NoiseKind(
@@ -78,7 +78,7 @@ _BUILT_IN = (
         model=GeneralizedKernel,
         summary="PROBE-GK: a covariance for each feature from a generalized kernel",
         from_file=GeneralizedKernel.from_file,
-        trainer="probevo.training.gk.learn:train_gk",
+        trainer="probevo.training.gk.learn:GK_TRAINER",
         inspection="probevo.output.inspection.gk:sections",
     ),
 )
@@ -155,8 +155,7 @@ def untrained_model(name: str) -> NoiseModel:
     return kind.untrained()
 
 
-def imported(function: str) -> Callable[..., Any]:
-    """Import a function that is written as ``module:function``."""
-    module, _, name = function.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), name)
-    return found
+def imported(place: str) -> Any:
+    """Import an object that is written as ``module:name``."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

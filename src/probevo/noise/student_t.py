@@ -83,7 +83,8 @@ class StudentT:
 
     @property
     def scale_is_assumed(self) -> bool:
-        """Whether it is the default scale, neither given nor fitted (``has_assumed_scale``)."""
+        """Whether its scale is the default one, which the odometry learns on line
+        (``has_assumed_scale``)."""
         return np.array_equal(self.scale_, DEFAULT_SCALE)
 
     def fit(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -49,6 +48,7 @@ from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
 from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
+from probevo.sequences.base import first_frames
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
@@ -176,7 +176,7 @@ def _run(
     records = _Records.of_run(sequence, config, num_frames)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
-        for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
+        for frame in prepare_ahead(first_frames(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)

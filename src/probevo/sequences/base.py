@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.sequences.frame import Frame, GroundTruth
 from probevo.sequences.imu_calibration import ImuCalibration
 
@@ -43,8 +45,25 @@ class Sequence(Protocol):
         """Return the number of frames, K."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames from the first.
+        """Yield the frames from the first; their indices are 0, 1, …, K − 1.
 
         Raises:
             InputError: a file of that frame is faulty.
         """
+
+
+def first_frames(sequence: Sequence, num_frames: int) -> Iterator[Frame]:
+    """Yield the first frames of a recording.
+
+    Raises:
+        InputError: the index of a frame is not its place in the recording, as a ``Sequence`` of a
+            user's own may have it.
+    """
+    for place, frame in enumerate(islice(sequence, num_frames)):
+        if frame.index != place:
+            raise InputError(
+                sequence.path,
+                f"frame {place} of the recording has the index {frame.index}.",
+                "Number the frames 0, 1, 2, …, without gaps.",
+            )
+        yield frame

@@ -9,7 +9,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from probevo.noise import StudentT
 from probevo.noise.metric import check_defined
 from probevo.odometry import StereoOdometry
 from probevo.predictors import PredictionSpace
-from probevo.sequences.base import Sequence
+from probevo.sequences.base import Sequence, first_frames
 from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
@@ -84,7 +83,7 @@ class Extraction:
         """
         part = _Part(first_step=0)
         part_bytes = 0
-        for frame in islice(self.sequence, self.num_frames):
+        for frame in first_frames(self.sequence, self.num_frames):
             motion = self._step(frame)
             if motion is None:
                 continue

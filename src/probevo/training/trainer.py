@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
@@ -75,10 +75,17 @@ def trainer_of(kind: str) -> Trainer:
     """Look up the trainer of a kind of noise model.
 
     Raises:
-        InputError: there is no such kind, or it is not trained.
+        InputError: there is no such kind, it is not trained, or its trainer is none.
     """
     kinds = noise_kinds()
     if kind not in kinds or not kinds[kind].trainer:
         trained = ", ".join(name for name, known in kinds.items() if known.trainer)
         raise InputError("--kind", f"{kind} cannot be trained.", f"Take one of {trained}.")
-    return cast(Trainer, imported(kinds[kind].trainer))
+    trainer = imported(kinds[kind].trainer)
+    if not isinstance(trainer, Trainer):
+        raise InputError(
+            "--kind",
+            f"{kinds[kind].trainer}, which learns {kind}, is no Trainer.",
+            "Name a probevo.training.trainer.Trainer in its NoiseKind.",
+        )
+    return trainer

@@ -414,13 +414,14 @@ def test_with_jitter_of_the_rig_relative_poses_are_consistent(knows: bool) -> No
         window = Window.at_first_frame(frames[0].index)
         for prev, curr in pairwise(frames):
             tracks = tracks_between(prev, curr)
+            if knows:
+                window = replace(window, jitter_cov=cov)
             window = by.with_features(
                 window,
                 curr.index,
                 tracks,
                 noise_of(len(tracks)),
                 two_frames=step_to(curr.index, FORWARD),
-                jitter_cov=cov if knows else None,
             )
         T, relative_cov = window.relative(8, 4)
         expected = np.linalg.matrix_power(FORWARD, 4)

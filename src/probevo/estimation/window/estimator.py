@@ -168,8 +168,8 @@ class WindowEstimator:
             noise = noise.scaled(np.full(len(noise.scale), noise_factor))
         if shares is not None:
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
-            motion = motion.scaled(shares.motion)
-            measurements = [*measurements, motion]
+        if step.jitter_cov is not None:
+            window = replace(window, jitter_cov=step.jitter_cov)
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
         rig = step.corrected.rig
         tracks = step.corrected.simultaneous.kept(visual.used)
@@ -181,8 +181,8 @@ class WindowEstimator:
             tracks,
             noise,
             two_frames=motion,
-            jitter_cov=step.jitter_cov,
             measurements=measurements,
+            motion_factor=None if shares is None else shares.motion,
         )
         if step.corrected.rig is None or step.rig is None:
             return after
@@ -202,8 +202,8 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         two_frames: RelativePose,
-        jitter_cov: FloatArray | None = None,
         measurements: Sequence[Measurement] = (),
+        motion_factor: float | None = None,
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
 
@@ -216,31 +216,32 @@ class WindowEstimator:
             tracks: N tracks between a frame of the window and the new one; corrected by the rig's
                 calibration, but not for b.
             noise: of these N tracks.
-            two_frames: the motion between these two frames by itself, with its covariance. It
-                counts beside the features only if it is one of the measurements, too.
-            jitter_cov: covariance S of the rig's jitter, [3, 3], rad²; as before, if there is none.
+            two_frames: the motion between these two frames by itself, with its covariance.
             measurements: further measurements of the poses of the window. Those of this motion have
                 entered the solve of two frames.
+            motion_factor: factor of the covariance with which ``two_frames`` counts beside the
+                features; None if it does not.
         """
-        if jitter_cov is not None:
-            window = replace(window, jitter_cov=jitter_cov)
         prev = window.slot(two_frames.variables[0].frame)
         try:
             extended = self.with_frame(
                 window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
             )
-            adjusted = self.adjusted(with_measurements(extended, measurements))
+            counted = list(measurements)
+            if motion_factor is not None:
+                counted.append(two_frames.scaled(motion_factor))
+            adjusted = self.adjusted(with_measurements(extended, counted))
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
             pass  # what no feature fixes makes the normal equations singular; so may be a scale
-        # The solve of two frames has had the measurements of its motion.
-        of_motion = [
-            one
-            for one in measurements
-            if one is not two_frames and set(one.variables) == set(two_frames.variables)
-        ]
-        others = [one for one in measurements if all(one is not other for other in of_motion)]
+        # The solve of two frames has had the measurements of its motion. A corrected motion counts
+        # even where the IMU knows it better.
+        variables = set(two_frames.variables)
+        of_motion = [one for one in measurements if set(one.variables) == variables]
+        others = [one for one in measurements if set(one.variables) != variables]
+        if motion_factor is not None:
+            others.append(two_frames)
         return self.without_features(window, frame, two_frames, others, in_motion=of_motion)
 
     def without_features(

@@ -163,7 +163,9 @@ class Inertial:
         """By how much the covariances by the data sheet are too small in the mean, with innovations
         beyond the gate.
 
-        A step that no image has tested may be as wrong as any of these.
+        A step that no image has tested may be as wrong as any of these. An IMU that lies errs the
+        same way in each step, so that its errors add up: the factor is used on top of
+        ``noise_factor``, with which the covariances describe errors that are independent.
         """
         distances = [innovation.squared_distance(1.0) for innovation in self.innovations]
         known = [squared for squared in distances if np.isfinite(squared)]

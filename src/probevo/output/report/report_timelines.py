@@ -16,7 +16,7 @@ from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 _MOST_PLACES = 500
 """Places on the time axis; a longer run is shown in groups of steps."""
-STAGES = ("track", "calibrate", "predict", "consensus", "solve", "learn")
+STAGES = ("track", "calibrate", "predict", "consensus", "solve", "learn", "window", "sensors")
 """Stages of a step, in their order; each has the same colour in every report."""
 STATUS_COLORS = {
     Status.FIRST: "#8a949e",

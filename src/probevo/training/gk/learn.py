@@ -104,7 +104,7 @@ def _check_published(kernel: KernelSettings) -> None:
 
 _UNUSED = dict.fromkeys(PROBE_ONLY, OTHER_KIND)
 
-train_gk = Trainer(
+GK_TRAINER = Trainer(
     learn=learn_pruned_kernel,
     num_iterations=num_iterations,
     default_predictors=KERNEL,
@@ -112,7 +112,7 @@ train_gk = Trainer(
     unused_settings=_UNUSED | {"neighbors": "Its K is --gk.neighbors."},
     check=check_kernel_settings,
 )
-train_student_t = Trainer(
+STUDENT_T_TRAINER = Trainer(
     learn=learn_student_t,
     num_iterations=num_static_iterations,
     thins_steps=True,

@@ -99,7 +99,7 @@ def num_iterations(settings: TrainSettings) -> int:
     return settings.iterations
 
 
-train_knn = Trainer(
+KNN_TRAINER = Trainer(
     learn=learn_nearest_neighbors,
     num_iterations=num_iterations,
     default_predictors=DEFAULT,
