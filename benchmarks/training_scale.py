@@ -108,7 +108,7 @@ def train(folder: Path) -> None:
     # models. The second half of that iteration is the search and the first fit.
     first = 1 + num_turns(SETTINGS) - SETTINGS.gk.iterations
     facts = {
-        "samples": model.samples_,
+        "samples": model.num_samples_,
         "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
         "clock": perf_counter() - start,
         "cpu": cpu_s() - cpu,

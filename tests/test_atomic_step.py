@@ -378,8 +378,8 @@ def test_the_steps_that_are_compared_are_solved(content: str) -> None:
     """Two steps that fail alike would be equal, too."""
     for k, (estimate, state) in enumerate(steps_without_a_frame(content)):
         assert estimate.status is (pv.Status.OK if k else pv.Status.FIRST)
-        assert k == 0 or state.step.used.sum() > 20
-        assert k == 0 or (state.step.phi.shape[1] == 3 and np.ptp(state.step.weights) > 0.0)
+        assert k == 0 or state.features.used.sum() > 20
+        assert k == 0 or (state.features.phi.shape[1] == 3 and np.ptp(state.features.weights) > 0.0)
 
 
 class _Interrupt:

@@ -88,14 +88,14 @@ class StereoOdometry:
         predicts_from_motion = (
             bool(self.noise.columns) and self.predictors.depends_on_previous_motion
         )
-        self._estimator = SelfCalibratingEstimator(
+        self._self_calibrating = SelfCalibratingEstimator(
             camera,
             VisualEstimator(
                 camera, self.noise, self.config, predicts_from_motion=predicts_from_motion
             ),
         )
-        self._tracking = self.config.tracker
-        self._window = WindowEstimator(camera, self.config)
+        self._tracker_config = self.config.tracker
+        self._window_estimator = WindowEstimator(camera, self.config)
         self._state: OdometryState | None = None
 
     def step(self, frame: Frame) -> MotionEstimate:
@@ -121,10 +121,10 @@ class StereoOdometry:
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
         measured = self._measure(prediction, clock)  # measurements/: gyro, sensors plugged in
-        solved = self._estimate(observed, measured, clock)  # noise/, estimation/: φ → R → motion
+        solved = self._solve_or_recover(observed, measured, clock)  # noise/, estimation/: φ → R
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
-        # The only assignment, and the last statement that can matter: a step is atomic.
+        # The state changes last, so that a step that raises leaves no trace.
         self._state = after
         return estimate
 
@@ -213,10 +213,10 @@ class StereoOdometry:
     def _features(self) -> StepFeatures:
         if self._state is None:
             return StepFeatures.none(len(self.predictors.columns))
-        return self._state.step
+        return self._state.features
 
     def _first_state(self, frame: Frame) -> OdometryState:
-        tracker = tracker_for(frame, self.camera, self._tracking)
+        tracker = tracker_for(frame, self.camera, self._tracker_config)
         tracked = tracker.track(TrackingState.none(), frame, np.eye(4))
         return OdometryState.at_first_frame(
             frame,
@@ -252,10 +252,10 @@ class StereoOdometry:
             # Usually one start, the prediction. While speed or rotation are unknown there are more.
             starts = model.starts(prediction.duration_s, prediction.motion)
             if frame.features is None:
-                frame = with_prepared_images(frame, self._tracking)
+                frame = with_prepared_images(frame, self._tracker_config)
                 starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
             tracked = track_from_best_start(
-                tracker_for(frame, self.camera, self._tracking),
+                tracker_for(frame, self.camera, self._tracker_config),
                 state.tracking,
                 frame,
                 prev_frame=state.frame,
@@ -267,9 +267,9 @@ class StereoOdometry:
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
         # Before the solve, the last velocity stands for that at either frame.
-        twist_s = None if model.speed_is_unknown else model.twist_s
+        twist = None if model.speed_is_unknown else model.twist
         corrected = CorrectedTracks.of(
-            tracked.tracks, state.rig, self.camera, prev_twist_s=twist_s, curr_twist_s=twist_s
+            tracked.tracks, state.rig, self.camera, prev_twist=twist, curr_twist=twist
         )
         if state.rig is not None:
             clock.lap("calibrate")
@@ -304,20 +304,22 @@ class StereoOdometry:
         by_gyro: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:
             by_gyro.append(prediction.rotation)
-        of_motion: list[Measurement] = []
+        motion_measurements: list[Measurement] = []
         for reading in readings:
-            of_motion += reading.of_motion(pose_of(frame.index))
+            motion_measurements += reading.of_motion(pose_of(frame.index))
         if self.sensors:
             clock.lap("sensors")
-        return Measured(by_gyro, of_motion, readings)
+        return Measured(by_gyro, motion_measurements, readings)
 
-    def _estimate(self, observed: Observed, measured: Measured, clock: StageClock) -> Solved:
+    def _solve_or_recover(
+        self, observed: Observed, measured: Measured, clock: StageClock
+    ) -> Solved:
         """Estimate the motion from the tracks and from other measurements of it.
 
         If the tracks are lost right after dead-reckoned steps, search for the features of the last
         usable frame instead (``estimation.recovery``).
         """
-        solved = self._solve(observed, [*measured.by_gyro, *measured.of_motion], clock)
+        solved = self._solve(observed, [*measured.by_gyro, *measured.motion_measurements], clock)
         # Recovery
         usable = observed.prediction.from_last_usable()
         if usable is None or not solved.is_lost:
@@ -331,7 +333,7 @@ class StereoOdometry:
         return replace(found, recovery=recovery)
 
     def _solve(
-        self, observed: Observed, of_motion: Sequence[Measurement], clock: StageClock
+        self, observed: Observed, others: Sequence[Measurement], clock: StageClock
     ) -> Solved:
         """Reject outliers, predict the noise of each inlier, and solve for the motion."""
         prediction = observed.prediction
@@ -341,15 +343,15 @@ class StereoOdometry:
             prediction=prediction.motion,
             gyro=prediction.rotation,
             disparities=state.disparities,
-            measurements=of_motion,
+            measurements=others,
             curr=pose_of(index),
             noise_factor=state.noise_scale.factor,
         )
-        calibrated = self._estimator.estimate(
+        calibrated = self._self_calibrating.estimate(
             observed.corrected,
             observed.phi,
             priors,
-            last_twist_s=state.motion_model.twist_s,
+            last_twist=state.motion_model.twist,
             duration_s=prediction.duration_s,
             seed=(self.config.seed, index),
             clock=clock,
@@ -367,16 +369,17 @@ class StereoOdometry:
         state = prediction.state
         frame = prediction.frame
         pose = pose_of(frame.index)
-        # Motion by the images, or dead-reckoned; gyro bias, rig, motion model, disparities.
-        of_images, learned = self._learn(prediction, solved)
+        # The motion of the two-frame solve, or else dead-reckoned; gyro bias, rig, motion model,
+        # disparities.
+        two_frame, updated = self._accept_or_dead_reckon(prediction, solved)
         clock.lap("learn")
         readings = measured.readings
         # What the sensors measured. The two-frame estimator has no solve in a dead-reckoned step
         # that their measurements of the motion could enter; a window always has one.
-        if not solved.shows_step and prediction.window is None:
+        if not solved.is_step_solved and prediction.window is None:
             readings = [reading.without_motion(pose) for reading in readings]
-        motion, readings = with_correction(
-            of_images, readings, self._suite, frames=(state.frame, frame)
+        corrected, readings = with_correction(
+            two_frame, readings, self._suite, frames=(state.frame, frame)
         )
         if self.sensors:
             clock.lap("sensors")
@@ -384,19 +387,20 @@ class StereoOdometry:
         window = None
         if prediction.window is not None:
             window = self._adjust(
-                prediction.window, solved, motion, of_images=of_images, measured=measured
+                prediction.window, solved, corrected, two_frame=two_frame, measured=measured
             )
-            motion = live_motion(motion, prediction.window, window)
+            motion = live_motion(corrected, prediction.window, window)
             fusion = state.fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
+            motion = corrected
             if solved.recovery is not None:  # from the last usable frame: make it a step
-                motion = solved.recovery.path.closed(motion)
+                motion = solved.recovery.path.closed(corrected)
             fusion = state.fusion.after(motion)
         # Measurements of the pose correct it, and each sensor is tested.
         outcomes: tuple[SensorOutcome, ...] = ()
         if readings:
-            solution = solved.visual.accepted_solution if solved.shows_step else None
+            solution = solved.visual.accepted_solution if solved.is_step_solved else None
             fusion, outcomes = fusion.updated(
                 readings,
                 pose,
@@ -405,9 +409,9 @@ class StereoOdometry:
             )
             clock.lap("sensors")
         # The estimate and the state. The features keep the motion of this step by the images alone.
-        T_of_images = of_images.T_curr_prev
+        T_of_images = two_frame.T_curr_prev
         if solved.recovery is not None:
-            T_of_images = solved.recovery.path.closed(of_images).T_curr_prev
+            T_of_images = solved.recovery.path.closed(two_frame).T_curr_prev
         estimate = replace(
             motion,
             # Copies: the caller may write to them.
@@ -415,22 +419,22 @@ class StereoOdometry:
             pose_cov=fusion.pose.cov.copy(),
             noise_factor=state.noise_scale.factor,
             sensors=outcomes,
-            imu_left_out=inertial.reason_left_out(window),
+            imu_left_out=inertial.reason_unused_in_step(window),
             stage_ms=clock.times_ms,
         )
         after = replace(
-            learned,
+            updated,
             frame=frame,
             observations=state.observations.with_frame(solved.observations),
             fusion=fusion,
-            step=solved.features(T_of_images),
+            features=solved.features(T_of_images),
             is_frozen=solved.observed.is_frozen,
             window=window,
-            last_usable=state.last_usable_after(prediction.duration_s, of_images),
+            last_usable=state.last_usable_after(prediction.duration_s, two_frame),
         )
         return estimate, after
 
-    def _learn(
+    def _accept_or_dead_reckon(
         self, prediction: Prediction, solved: Solved
     ) -> tuple[MotionEstimate, OdometryState]:
         """Accept the solved motion and update what depends on it, or else dead-reckon.
@@ -473,12 +477,12 @@ class StereoOdometry:
             noise_scale = state.noise_scale
             model = state.motion_model.after_recovery(
                 duration_s,
-                solved.observed.prediction.duration_s,
+                solved.prediction.duration_s,
                 motion.T_curr_prev,
                 cov=motion.cov,
             )
         else:
-            noise_scale = state.noise_scale.after(visual.noise_factor_shown)
+            noise_scale = state.noise_scale.after(visual.estimated_noise_factor)
             model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
             if self.predictors.depends_on_previous_motion:
                 residuals = LastResiduals.left_by(solved.tracks, visual.T_reference, self.camera)
@@ -486,7 +490,7 @@ class StereoOdometry:
             state,
             tracking=tracking.without(solved.tracks.ids[visual.outliers]),
             rig=solved.calibrated.rig,
-            gyro_bias=solved.observed.prediction.gyro_bias_after(
+            gyro_bias=solved.prediction.gyro_bias_after(
                 visual.accepted_solution, enters_solve=self.config.gyro.prior
             ),
             motion_model=model,
@@ -499,9 +503,9 @@ class StereoOdometry:
         self,
         window: Window,
         solved: Solved,
-        motion: MotionEstimate,
+        corrected: MotionEstimate,
         *,
-        of_images: MotionEstimate,
+        two_frame: MotionEstimate,
         measured: Measured,
     ) -> Window:
         """Adjust the last frames together, starting from the motion of the two-frame solve.
@@ -509,25 +513,26 @@ class StereoOdometry:
         Args:
             window: the window before the step.
             solved: the two-frame solve.
-            motion: its motion, corrected if there is a correction, or the dead-reckoned one.
-            of_images: the same without the correction.
+            corrected: the motion of that solve, or else dead-reckoned; corrected, if there is a
+                correction.
+            two_frame: the same without the correction.
             measured: what the sensors measured.
         """
-        prediction = solved.observed.prediction
+        prediction = solved.prediction
         # A corrected motion and the features are from the same images. Inflate both, so that the
         # window does not count the images twice.
         shares = None
-        if motion is not of_images:
-            shares = shares_of(of_images, motion, self.config.window.frames)
-        measurements = list(measured.of_motion)
+        if corrected is not two_frame:
+            shares = shares_of(two_frame, corrected, self.config.window.frames)
+        measurements = list(measured.motion_measurements)
         # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
         # dead-reckoned motion, whose rotation is the gyro's.
-        if not inertial.has_measured(window) and solved.shows_step:
+        if not inertial.has_measured(window) and solved.is_step_solved:
             measurements += measured.by_gyro
-        return self._window.after_step(
+        return self._window_estimator.with_step(
             window,
             solved.calibrated,
-            motion_for_window(window, prediction, motion),
+            motion_for_window(window, prediction, corrected),
             noise_factor=1.0 if solved.recovery is None else solved.recovery.noise_factor,
             shares=shares,
             measurements=measurements,

@@ -39,7 +39,7 @@ class Measured:
 
     by_gyro: list[Measurement]
     """The gyro's rotation, which enters the solve; only with ``gyro.prior``."""
-    of_motion: list[Measurement]
+    motion_measurements: list[Measurement]
     """The sensors' measurements of the motion, which enter the solve, too."""
     readings: list[Reading]
     """The answer of each sensor, measurements of the pose included."""
@@ -60,6 +60,12 @@ class Solved:
         return self.calibrated.visual
 
     @property
+    def prediction(self) -> Prediction:
+        """The prediction that it was solved with; after a recovery, that from the last usable
+        frame."""
+        return self.observed.prediction
+
+    @property
     def tracks(self) -> Tracks:
         """The N tracks, corrected as they were solved."""
         return self.calibrated.corrected.tracks
@@ -70,7 +76,7 @@ class Solved:
         return self.visual.status in STATUSES_WITHOUT_FEATURES and not self.observed.is_frozen
 
     @property
-    def shows_step(self) -> bool:
+    def is_step_solved(self) -> bool:
         """Whether the motion from the previous frame to this one was solved from images."""
         return self.visual.status is Status.OK and self.recovery is None
 
@@ -88,7 +94,7 @@ class Solved:
     def observations(self) -> FrameObservations:
         """The raw observations, with the noise that was predicted for those used."""
         return replace(
-            self.observed.tracked.state.observations(self.observed.prediction.frame),
+            self.observed.tracked.state.observations(self.prediction.frame),
             noise=self.visual.noise,
             noise_landmarks=self.tracks.ids[self.visual.used],
         )

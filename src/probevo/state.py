@@ -172,7 +172,7 @@ class OdometryState:
     fusion: SensorFusion
     """Pose of the camera in the world (the first camera), and the tests of each sensor that
     corrects it."""
-    step: StepFeatures
+    features: StepFeatures
     """The features of the last step."""
     is_frozen: bool
     """Whether the images of the last frame did not change although the camera moved."""
@@ -215,7 +215,7 @@ class OdometryState:
             noise_scale=NoiseScale(),
             residuals=LastResiduals.none(),
             fusion=SensorFusion.at_origin(sensor_names),
-            step=StepFeatures.none(num_columns),
+            features=StepFeatures.none(num_columns),
             is_frozen=False,
             window=_first_window(frame, imu, config) if config.estimator == "window" else None,
         )
@@ -328,7 +328,8 @@ def motion_for_window(
     Args:
         window: the window before the step.
         prediction: the prediction of the step.
-        motion: the solved or dead-reckoned motion from the prediction's frame.
+        motion: the solved or dead-reckoned motion from ``prediction.state.frame`` to
+            ``prediction.frame``.
     """
     curr = pose_of(prediction.frame.index)
     # None if the motion was solved: a solved one is measured from where it starts.

@@ -25,9 +25,9 @@ TWIST_S = se3.log(FORWARD) / STEP_S
 DELAY_S = 0.005
 
 
-def seen_later(pixels: FloatArray, delay_s: float, twist_s: FloatArray = TWIST_S) -> FloatArray:
+def seen_later(pixels: FloatArray, delay_s: float, twist: FloatArray = TWIST_S) -> FloatArray:
     """Return the observations [N, 4], px, with right images of so much later."""
-    moved_m = se3.transform(se3.exp(delay_s * twist_s), CAMERA.triangulate(pixels))
+    moved_m = se3.transform(se3.exp(delay_s * twist), CAMERA.triangulate(pixels))
     seen = pixels.copy()
     seen[:, 2:] = CAMERA.project(moved_m)[:, 2:]
     return seen

@@ -40,7 +40,7 @@ def test_gk_says_what_was_learned_and_how_it_came_about(
     model = load_model(out)
     lines = capsys.readouterr().out.splitlines()
     assert isinstance(model, GeneralizedKernel)
-    assert f"samples     {model.samples_:,} from {FRAMES} frames of 1 recording" in lines
+    assert f"samples     {model.num_samples_:,} from {FRAMES} frames of 1 recording" in lines
     assert f"K           {model.shape_.neighbors}" in lines
     assert any(
         line.startswith(f"ν           {model.prior_.dof[0]:.3g} of the prior") for line in lines

@@ -78,8 +78,8 @@ def test_a_motion_within_a_microsecond_tells_nothing_of_the_velocity() -> None:
     """Its features know the motion to a centimetre, which would be 10 km/s."""
     model = driving().after_solve(1e-6, np.eye(4), COV)
     at_start = MotionModel.at_start(CONFIG)
-    np.testing.assert_array_equal(model.twist_s, at_start.twist_s)
-    np.testing.assert_array_equal(model.twist_sigma_s, at_start.twist_sigma_s)
+    np.testing.assert_array_equal(model.twist, at_start.twist)
+    np.testing.assert_array_equal(model.twist_sigma, at_start.twist_sigma)
 
 
 def test_a_rejected_solve_over_a_microsecond_leaves_a_covariance() -> None:
@@ -338,8 +338,8 @@ def test_a_rig_that_is_shaken_widens_its_own_prediction() -> None:
     rate = np.zeros(3)
     for _ in range(40):
         rate = rate + 10.0 * STEP_S * rng.normal(size=3)  # 10 rad/s² instead of 2
-        twist_s = np.concatenate([TWIST_S[:3], rate])
-        model = model.after_solve(STEP_S, se3.exp(STEP_S * twist_s), COV)
+        twist = np.concatenate([TWIST_S[:3], rate])
+        model = model.after_solve(STEP_S, se3.exp(STEP_S * twist), COV)
     for shaken, evenly in ((model, driving()), (reckoned(model), reckoned(driving()))):
         sigma = np.sqrt(np.diagonal(shaken.predict(STEP_S, None).cov))
         usual = np.sqrt(np.diagonal(evenly.predict(STEP_S, None).cov))
@@ -378,12 +378,12 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
 def test_the_model_itself_is_never_changed() -> None:
     """Each step yields a new one."""
     model = driving()
-    twist_s = model.twist_s.copy()
-    twist_sigma_s = model.twist_sigma_s.copy()
+    twist = model.twist.copy()
+    twist_sigma = model.twist_sigma.copy()
     model.after_solve(STEP_S, np.eye(4), COV)
     model.predict(STEP_S, None).T_curr_prev[:] = 0.0
-    np.testing.assert_array_equal(model.twist_s, twist_s)
-    np.testing.assert_array_equal(model.twist_sigma_s, twist_sigma_s)
+    np.testing.assert_array_equal(model.twist, twist)
+    np.testing.assert_array_equal(model.twist_sigma, twist_sigma)
 
 
 def test_a_model_that_refuses_three_solves_in_a_row_is_given_up() -> None:

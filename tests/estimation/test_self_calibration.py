@@ -47,7 +47,7 @@ class CountedEstimator(VisualEstimator):
 
 
 def estimate(
-    tracks: Tracks, rig: RigCalibration | None, twist_s: FloatArray | None = TWIST_S
+    tracks: Tracks, rig: RigCalibration | None, twist: FloatArray | None = TWIST_S
 ) -> tuple[CalibratedMotion, int]:
     """Return the motion of tracks, and how often it was solved for.
 
@@ -55,10 +55,10 @@ def estimate(
     """
     visual = CountedEstimator(CAMERA, StudentT(), CONFIG, predicts_from_motion=False)
     found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, rig, CAMERA, prev_twist_s=twist_s, curr_twist_s=twist_s),
+        CorrectedTracks.of(tracks, rig, CAMERA, prev_twist=twist, curr_twist=twist),
         np.zeros((len(tracks), 0)),
         MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
-        last_twist_s=np.zeros(6) if twist_s is None else twist_s,
+        last_twist=np.zeros(6) if twist is None else twist,
         duration_s=DURATION_S,
         seed=(0, 1),
         clock=StageClock(),
@@ -97,10 +97,10 @@ def test_a_jitter_that_the_noise_model_has_learned_is_that_of_the_solve() -> Non
     visual = VisualEstimator(CAMERA, StudentT(jitter_cov=cov), CONFIG, predicts_from_motion=False)
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, None, CAMERA, prev_twist_s=TWIST_S, curr_twist_s=TWIST_S),
+        CorrectedTracks.of(tracks, None, CAMERA, prev_twist=TWIST_S, curr_twist=TWIST_S),
         np.zeros((len(tracks), 0)),
         MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
-        last_twist_s=TWIST_S,
+        last_twist=TWIST_S,
         duration_s=DURATION_S,
         seed=(0, 1),
         clock=StageClock(),
@@ -120,9 +120,9 @@ def test_more_jitter_than_expected_is_solved_again() -> None:
     assert found.rig.jitter.exceeds(TIGHT.cov)
 
 
-@pytest.mark.parametrize("twist_s", [TWIST_S, None])
+@pytest.mark.parametrize("twist", [TWIST_S, None])
 def test_a_late_right_camera_is_corrected_by_the_motion_that_was_found(
-    twist_s: FloatArray | None,
+    twist: FloatArray | None,
 ) -> None:
     """The tracks are of points seen 5 ms later. Behind a blackout, nobody knows the last
     velocity."""
@@ -134,7 +134,7 @@ def test_a_late_right_camera_is_corrected_by_the_motion_that_was_found(
     rig = RigCalibration.initial()
     for _ in range(5):
         rig = rig.with_delay(late.curr_px, TWIST_S, CAMERA)
-    found, num_solves = estimate(late, rig, twist_s)
+    found, num_solves = estimate(late, rig, twist)
     assert num_solves >= 2
     assert found.corrected.delay_s == pytest.approx(0.005, abs=3e-4)
     assert np.linalg.norm(motion_error(found.accepted().T_curr_prev)[:3]) < 0.02

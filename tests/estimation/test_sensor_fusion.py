@@ -15,7 +15,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, St
 from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations
 from probevo.geometry import se3, so3
 from probevo.measurements import Measurement, pose_of
-from probevo.measurements.base import large_from
+from probevo.measurements.base import large_residual_threshold
 from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH, attitude_of_enu
@@ -282,7 +282,7 @@ def test_a_measurement_of_the_motion_has_the_weight_of_the_solve() -> None:
     one = TravelledDistance(2.0, 0.1, pose_of(0)).bounded()
     (residual,) = one.residual({pose_of(0): FORWARD})
     ((_, weight),) = motion_innovations([one], FORWARD, pose_of(0), cov=1e-4 * np.eye(6))
-    assert weight == pytest.approx((large_from(1) / (residual / 0.1) ** 2) ** 2)
+    assert weight == pytest.approx((large_residual_threshold(1) / (residual / 0.1) ** 2) ** 2)
     assert weight < 0.01
 
 

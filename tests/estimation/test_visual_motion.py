@@ -12,7 +12,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
-from probevo.estimation.two_frame import Estimate, TwoFrameEstimator
+from probevo.estimation.two_frame import TwoFrameEstimate, TwoFrameEstimator
 from probevo.estimation.visual_motion import (
     MotionPriors,
     VisualEstimator,
@@ -211,9 +211,11 @@ def test_a_noise_factor_is_a_larger_scale_of_the_model(factor: float) -> None:
             getattr(by_model.accepted_solution, name),
             rtol=1e-12,
         )
-    assert by_factor.noise_factor_shown is not None
-    assert by_model.noise_factor_shown is not None
-    assert by_factor.noise_factor_shown == pytest.approx(factor * by_model.noise_factor_shown)
+    assert by_factor.estimated_noise_factor is not None
+    assert by_model.estimated_noise_factor is not None
+    assert by_factor.estimated_noise_factor == pytest.approx(
+        factor * by_model.estimated_noise_factor
+    )
 
 
 @pytest.mark.parametrize("sigma_px", [0.05, 0.2, 0.6, 1.0])
@@ -222,7 +224,7 @@ def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
     model, or less, or so much more that the covariance is enlarged or the solve repeated."""
     tracks = seen_twice(np.random.default_rng(0), 400, sigma_px=sigma_px, depth_m=NEAR_M)
     visual = estimate(tracks, noise=Scaled(100.0, 0.2**2 * np.eye(4)))
-    assert visual.noise_factor_shown == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
+    assert visual.estimated_noise_factor == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
 
 
 def test_a_scale_that_was_learned_is_kept() -> None:
@@ -235,7 +237,7 @@ def test_a_scale_that_was_learned_is_kept() -> None:
     for noise in (StudentT(), StudentT(4.0), StudentT.from_file(StudentT().to_file())):
         assert has_assumed_scale(noise)
         assert has_assumed_scale(NearestNeighbors(base=noise))
-    assert estimate(tracks, noise=given).noise_factor_shown is None
+    assert estimate(tracks, noise=given).estimated_noise_factor is None
 
 
 def test_in_a_window_the_default_errors_of_aligned_windows_do_not_last() -> None:
@@ -259,9 +261,9 @@ def test_in_a_window_the_default_errors_of_aligned_windows_do_not_last() -> None
 def test_neither_rest_nor_gaussian_noise_shows_a_factor() -> None:
     moving = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     resting = seen_twice(np.random.default_rng(0), 200, np.eye(4), sigma_px=0.2)
-    assert estimate(moving).noise_factor_shown is not None
-    assert estimate(moving, noise=Fixed()).noise_factor_shown is None
-    assert estimate(resting).noise_factor_shown is None
+    assert estimate(moving).estimated_noise_factor is not None
+    assert estimate(moving, noise=Fixed()).estimated_noise_factor is None
+    assert estimate(resting).estimated_noise_factor is None
 
 
 def test_where_nothing_is_solved_nothing_is_used_and_nothing_out_of_domain() -> None:
@@ -522,7 +524,7 @@ def reference_of(
     predicted = noise.predict(np.zeros((len(tracks), 0)))
     two_frame = TwoFrameEstimator(CAMERA, CONFIG.solver)
     solution = two_frame.solve(tracks, predicted, guess=FORWARD)
-    of_all = Estimate(
+    of_all = TwoFrameEstimate(
         solution=solution,
         weights=np.ones(len(tracks)),
         disparities=DisparityFilter.none(),

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_t
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.noise import StereoNoise
-from probevo.noise.student_t_arrays import Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import Neighborhoods, StudentTBatch, StudentTPrior
 from probevo.noise.student_t_fit import fit_static, fit_student_ts
 from probevo.noise.student_t_numba import (
     MAX_DOF,
@@ -24,9 +24,9 @@ SCALE = np.array(
 )
 """px²; left and right image go together."""
 BIAS = np.array([0.3, -0.2, 0.25, 0.05])
-FREE = StudentPrior(np.eye(4), dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=0.01)
+FREE = StudentTPrior(np.eye(4), dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=0.01)
 """It counts for next to nothing."""
-HELD = StudentPrior(2.0 * SCALE, dof=4.0, counts=20.0, dof_counts=np.inf, bias_counts=np.inf)
+HELD = StudentTPrior(2.0 * SCALE, dof=4.0, counts=20.0, dof_counts=np.inf, bias_counts=np.inf)
 
 
 def drawn(
@@ -39,11 +39,11 @@ def drawn(
 
 def fitted(
     errors: FloatArray,
-    prior: StudentPrior = FREE,
+    prior: StudentTPrior = FREE,
     error_cov: FloatArray | None = None,
     *,
     robust: bool = True,
-) -> StudentTs:
+) -> StudentTBatch:
     near = Neighborhoods.of_all(len(errors))
     return fit_student_ts(errors, near, prior, error_cov=error_cov, iterations=200, robust=robust)
 
@@ -223,7 +223,7 @@ def test_without_robustness_it_is_the_closed_form() -> None:
 
 @pytest.mark.parametrize("robust", [True, False])
 def test_without_any_error_the_prior_holds(robust: bool) -> None:
-    prior = StudentPrior(SCALE, dof=7.0, counts=4.0, dof_counts=10.0, bias_counts=10.0)
+    prior = StudentTPrior(SCALE, dof=7.0, counts=4.0, dof_counts=10.0, bias_counts=10.0)
     near = Neighborhoods(np.array([0, 0, 0]), np.zeros(0, np.int64), np.zeros(0))
     found = fit_student_ts(np.zeros((0, 4)), near, prior, robust=robust)
     np.testing.assert_allclose(found.scale, [SCALE, SCALE], atol=1e-5)
@@ -242,7 +242,7 @@ def test_the_prior_counts_as_errors_do() -> None:
     """Between the prior and the errors, the more it counts the nearer to it: scale, dof and bias
     each by their own."""
     errors = drawn(200, dof=3.0, bias=BIAS, seed=9)
-    prior = StudentPrior(9.0 * SCALE, dof=50.0, counts=0.1, dof_counts=0.1, bias_counts=0.1)
+    prior = StudentTPrior(9.0 * SCALE, dof=50.0, counts=0.1, dof_counts=0.1, bias_counts=0.1)
     counts = (0.1, 10.0, 200.0, 1e5)
     scales = [
         distance(fitted(errors, prior._replace(counts=c)).scale[0], prior.scale) for c in counts
@@ -270,7 +270,7 @@ def test_each_neighbourhood_is_fitted_on_its_own() -> None:
     kernel = rng.uniform(0.1, 1.0, 90)
     index = rng.integers(0, 100, 90)
     first = np.array([0, 30, 30, 90])
-    prior = StudentPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
+    prior = StudentTPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
     together = fit_student_ts(errors, Neighborhoods(first, index, kernel), prior)
     for c in range(3):
         rows = slice(first[c], first[c + 1])
@@ -285,8 +285,8 @@ def test_a_kernel_of_two_is_the_error_twice() -> None:
     half as much, too."""
     errors = drawn(60, seed=12)
     twice = np.concatenate([errors, errors[:30]])
-    prior = StudentPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
-    half = StudentPrior(SCALE, 5.0, 2.0, dof_counts=5.0, bias_counts=5.0)
+    prior = StudentTPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
+    half = StudentTPrior(SCALE, 5.0, 2.0, dof_counts=5.0, bias_counts=5.0)
     kernel = np.where(np.arange(60) < 30, 1.0, 0.5)
     one = fit_student_ts(errors, Neighborhoods(np.array([0, 60]), np.arange(60), kernel), half)
     other = fit_student_ts(twice, Neighborhoods.of_all(90), prior)
@@ -345,7 +345,7 @@ def test_of_many_errors_what_is_added_for_the_few_is_not_noticed() -> None:
     """The fit with that prior against one with a hundredth of it; scale and ν of 5,000."""
     errors = drawn(5000, seed=15)
     found = fit_static(errors)
-    light = StudentPrior(SCALE, dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=np.inf)
+    light = StudentTPrior(SCALE, dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=np.inf)
     bare = fit_student_ts(errors, Neighborhoods.of_all(5000), light, iterations=50)
     assert np.linalg.norm(found.scale - bare.scale) < 2e-3 * np.linalg.norm(bare.scale)
     np.testing.assert_allclose(found.dof, bare.dof, rtol=2e-3)

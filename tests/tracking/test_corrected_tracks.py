@@ -15,7 +15,7 @@ TWIST_S = 10.0 * se3.log(FORWARD)
 
 def test_without_a_calibration_the_tracks_stay_as_they_are() -> None:
     tracks = seen_twice(np.random.default_rng(0), 50)
-    found = CorrectedTracks.of(tracks, None, CAMERA, prev_twist_s=TWIST_S, curr_twist_s=TWIST_S)
+    found = CorrectedTracks.of(tracks, None, CAMERA, prev_twist=TWIST_S, curr_twist=TWIST_S)
     assert found.tracks is tracks
     assert found.rig is None
 
@@ -25,7 +25,7 @@ def test_rows_are_those_of_this_frame_too() -> None:
     clean = seen_twice(np.random.default_rng(0), 300)
     seen = replace(clean, prev_px=misrectified(clean.prev_px), curr_px=misrectified(clean.curr_px))
     rig = RigCalibration.initial()
-    found = CorrectedTracks.of(seen, rig, CAMERA, prev_twist_s=None, curr_twist_s=None)
+    found = CorrectedTracks.of(seen, rig, CAMERA, prev_twist=None, curr_twist=None)
     before = np.abs(seen.curr_px[:, 3] - seen.curr_px[:, 1])
     after = np.abs(found.tracks.curr_px[:, 3] - found.tracks.curr_px[:, 1])
     assert np.median(after) < 0.1 * np.median(before)
@@ -41,7 +41,7 @@ def test_a_delay_is_taken_off_at_each_frame_by_its_own_velocity() -> None:
         rig = rig.with_delay(without_delay(pixels, -0.005, TWIST_S, CAMERA), TWIST_S, CAMERA)
     assert abs(rig.delay.delay_s - 0.005) < 3e-4
     tracks = seen_twice(rng, 50)
-    unknown = CorrectedTracks.of(tracks, rig, CAMERA, prev_twist_s=None, curr_twist_s=TWIST_S)
+    unknown = CorrectedTracks.of(tracks, rig, CAMERA, prev_twist=None, curr_twist=TWIST_S)
     assert unknown.delay_s == 0.0
     assert unknown.simultaneous is tracks
     found = unknown.at_twists(0.5 * TWIST_S, TWIST_S, CAMERA)

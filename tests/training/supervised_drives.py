@@ -150,7 +150,7 @@ def sampler_of(
         solver=SolverConfig(),
         subset=subset,
         contrast=contrast,
-        relative=relative,
+        divides_by_predicted=relative,
         seed=seed,
     )
 

@@ -318,7 +318,7 @@ def test_of_many_drives_some_steps_are_taken(
     for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     np.testing.assert_array_equal(scale, other_scale)
-    share = thinning.STEPS_PER_FEATURE * 500 / drive.used.sum()
+    share = thinning.FEATURES_PER_DRAWN * 500 / drive.used.sum()
     assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(3 * 59 * share * (1 - share))
     taken = [
         k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()

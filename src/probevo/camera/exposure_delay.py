@@ -94,7 +94,7 @@ class ExposureDelay:
         self,
         pixels: FloatArray,
         basis: FloatArray,
-        twist_s: FloatArray,
+        twist: FloatArray,
         *,
         camera: StereoCamera,
         noise: RowOffsetNoise,
@@ -108,13 +108,13 @@ class ExposureDelay:
         Args:
             pixels: the matches, [N, 4], px.
             basis: what a₀ … a₆ multiply at each, [N, 7].
-            twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
+            twist: Log(T_curr_prev) per second, [6], m/s and rad/s.
             camera: the rectified camera.
             noise: of v_r − v_l.
             jitter_cov: covariance of the rig's jitter, [3, 3], rad².
         """
         # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ): one more column, px/s.
-        row_speed_px_s = right_velocity(pixels, twist_s, camera)[:, 1]
+        row_speed_px_s = right_velocity(pixels, twist, camera)[:, 1]
         coefficients, information = fit_row_offsets(
             np.column_stack([basis, row_speed_px_s]),
             pixels[:, 3] - pixels[:, 1],
@@ -144,14 +144,14 @@ def _jitter_effect(camera: StereoCamera) -> FloatArray:
 
 
 def without_delay(
-    pixels: FloatArray, delay_s: float, twist_s: FloatArray, camera: StereoCamera
+    pixels: FloatArray, delay_s: float, twist: FloatArray, camera: StereoCamera
 ) -> FloatArray:
     """Return observations [N, 4], px, with u_r and v_r corrected to the time of the left image.
 
     Args:
         pixels: the observations.
         delay_s: τ.
-        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
+        twist: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     corrected: FloatArray = pixels.copy()
@@ -159,35 +159,35 @@ def without_delay(
         return corrected
     # The velocity depends on the disparity, which the delay has changed: iterate.
     for _ in range(CORRECTIONS):
-        velocity = right_velocity(corrected, twist_s, camera)
+        velocity = right_velocity(corrected, twist, camera)
         corrected[:, 2:] = pixels[:, 2:] - delay_s * velocity
     return corrected
 
 
-def right_velocity(pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera) -> FloatArray:
+def right_velocity(pixels: FloatArray, twist: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return (u̇_r, v̇_r) of points at rest, [N, 2], px/s, given observations [N, 4], px.
 
     Args:
         pixels: the observations.
-        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
+        twist: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     velocity = np.empty((len(pixels), 2))
     intrinsics = (camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m)
-    _fill_right_velocity(pixels, twist_s, intrinsics, velocity)
+    _fill_right_velocity(pixels, twist, intrinsics, velocity)
     return velocity
 
 
 @compiled
 def _fill_right_velocity(
     pixels: FloatArray,
-    twist_s: FloatArray,
+    twist: FloatArray,
     intrinsics: tuple[float, float, float, float, float],
     velocity: FloatArray,
 ) -> None:
     """Fill the velocities, [N, 2], px/s, for intrinsics (f_u, f_v, c_u, c_v, b)."""
     fu, fv, cu, cv, baseline = intrinsics
-    vx, vy, vz, wx, wy, wz = twist_s
+    vx, vy, vz, wx, wy, wz = twist
     for k in range(len(pixels)):
         x = (pixels[k, 0] - cu) / fu
         y = (pixels[k, 1] - cv) / fv

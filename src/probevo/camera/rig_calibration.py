@@ -155,13 +155,13 @@ class RigCalibration:
         )
 
     def with_delay(
-        self, pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
+        self, pixels: FloatArray, twist: FloatArray, camera: StereoCamera
     ) -> RigCalibration:
         """Update the delay of the right image with the raw stereo matches [N, 4], px, of one frame.
 
         Args:
             pixels: the matches.
-            twist_s: Log(T_curr_prev) per second at that frame, [6], m/s and rad/s.
+            twist: Log(T_curr_prev) per second at that frame, [6], m/s and rad/s.
             camera: the rectified camera.
         """
         # The delay has row coefficients of its own, which are estimated jointly with it.
@@ -169,7 +169,7 @@ class RigCalibration:
         updated = self.delay.updated(
             pixels,
             basis,
-            twist_s,
+            twist,
             camera=camera,
             noise=ROW_NOISE,
             jitter_cov=self.jitter.cov,

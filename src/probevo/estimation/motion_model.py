@@ -119,9 +119,9 @@ class MotionModel:
     """
 
     config: MotionModelConfig
-    twist_s: FloatArray
+    twist: FloatArray
     """Log(T_curr_prev) per second of the last solved motion, [6], m/s and rad/s."""
-    twist_sigma_s: FloatArray
+    twist_sigma: FloatArray
     """Its standard deviation in that step, [6], m/s and rad/s."""
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
@@ -142,24 +142,24 @@ class MotionModel:
         """Return the model before the first motion: at rest, with the wide prior of the
         settings."""
         sigma = np.repeat([config.start_speed_m_s, config.start_turn_rate_rad_s], 3)
-        return MotionModel(config, twist_s=np.zeros(6), twist_sigma_s=sigma)
+        return MotionModel(config, twist=np.zeros(6), twist_sigma=sigma)
 
     def predict(self, duration_s: float, gyro: RelativeRotation | None) -> MotionPrediction:
         """Predict the motion of the next step; with a gyro, the rotation is the gyro's."""
         T_curr_prev = np.empty((4, 4))
-        perturb(self.twist_s * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
+        perturb(self.twist * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
         # Errors of both stamps change the length of the interval, and so the distance. An error
         # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
         stamp_sigma_s = min(self.config.stamp_sigma_s, LARGEST_STAMP_SHARE * duration_s)
         stamp_variance = 2.0 * stamp_sigma_s**2
-        cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
+        cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist, self.twist)
         if gyro is not None:
             # The gyro replaces the predicted rotation. Errors of its mounting and its scale grow
             # with the rotation, those of its clock with the change of the rate.
             T_curr_prev[:3, :3] = gyro.C_curr_prev
             angle = so3.log(gyro.C_curr_prev)
-            change_rad_s = angle / duration_s - self.twist_s[3:]
+            change_rad_s = angle / duration_s - self.twist[3:]
             unmodelled_rad = GYRO_MISALIGNMENT_RAD * np.linalg.norm(angle) + (
                 GYRO_DELAY_S * np.linalg.norm(change_rad_s)
             )
@@ -201,7 +201,7 @@ class MotionModel:
     @property
     def is_moving(self) -> bool:
         """Whether the camera moved in the last solved step."""
-        return bool((np.abs(self.twist_s) > MOVING_TWIST).any())
+        return bool((np.abs(self.twist) > MOVING_TWIST).any())
 
     def dead_reckoned(
         self,
@@ -243,26 +243,26 @@ class MotionModel:
         """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
         # The new velocity is independent of earlier dead reckoning, so ``refusals`` and
         # ``path_sensitivity`` are reset.
-        twist_s = se3.log(T_curr_prev) / duration_s
-        twist_sigma_s = np.sqrt(np.diagonal(cov)) / duration_s
+        twist = se3.log(T_curr_prev) / duration_s
+        twist_sigma = np.sqrt(np.diagonal(cov)) / duration_s
         # A motion within a microsecond tells less of the velocity than the prior does.
         prior = MotionModel.at_start(self.config)
-        is_known = twist_sigma_s < prior.twist_sigma_s
-        twist_s = np.where(is_known, twist_s, prior.twist_s)
-        twist_sigma_s = np.where(is_known, twist_sigma_s, prior.twist_sigma_s)
+        is_known = twist_sigma < prior.twist_sigma
+        twist = np.where(is_known, twist, prior.twist)
+        twist_sigma = np.where(is_known, twist_sigma, prior.twist_sigma)
         scale = self.acceleration_scale
         if not self.speed_is_unknown:
             scale = scale.after(
-                twist_s - self.twist_s,
-                twist_sigma_s**2 + self.twist_sigma_s**2,
+                twist - self.twist,
+                twist_sigma**2 + self.twist_sigma**2,
                 accelerations=self._configured_accelerations,
                 duration_s=duration_s + self.since_solve_s,
             )
         rate = self._with_step(duration_s)
         return MotionModel(
             self.config,
-            twist_s=twist_s,
-            twist_sigma_s=twist_sigma_s,
+            twist=twist,
+            twist_sigma=twist_sigma,
             usual_step_s=rate.usual_step_s,
             gaps=rate.gaps,
             acceleration_scale=scale,
@@ -290,7 +290,7 @@ class MotionModel:
         rate = self._with_step(duration_s)
         return replace(
             mean,
-            twist_sigma_s=mean._drifted_sigma(0.5 * path_s),
+            twist_sigma=mean._drifted_sigma(0.5 * path_s),
             usual_step_s=rate.usual_step_s,
             gaps=rate.gaps,
         )
@@ -322,7 +322,7 @@ class MotionModel:
         if refusals >= MAX_REFUSALS:
             return replace(
                 MotionModel.at_start(self.config),
-                twist_s=self.twist_s,
+                twist=self.twist,
                 usual_step_s=rate.usual_step_s,
                 gaps=rate.gaps,
                 path_sensitivity=path_sensitivity,
@@ -350,7 +350,7 @@ class MotionModel:
         # The velocity drifts in proportion to time, not to its square root as in a random walk: a
         # vehicle that brakes keeps braking.
         acceleration = self.acceleration_scale.factors * self._configured_accelerations
-        return self.twist_sigma_s + acceleration * (self.since_solve_s + duration_s)
+        return self.twist_sigma + acceleration * (self.since_solve_s + duration_s)
 
     @property
     def _configured_accelerations(self) -> FloatArray:

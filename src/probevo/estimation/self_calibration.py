@@ -117,7 +117,7 @@ class SelfCalibratingEstimator:
         phi: FloatArray,
         priors: MotionPriors,
         *,
-        last_twist_s: FloatArray,
+        last_twist: FloatArray,
         duration_s: float,
         seed: Sequence[int],
         clock: StageClock,
@@ -128,7 +128,7 @@ class SelfCalibratingEstimator:
             corrected: the N tracks.
             phi: the predictors of these tracks, [N, M].
             priors: what is known about the step before its tracks are used.
-            last_twist_s: twist per second of the previous step, [6].
+            last_twist: twist per second of the previous step, [6].
             duration_s: time between the two frames.
             seed: of RANSAC's samples; every repeated solve draws the same ones.
             clock: takes the times of the stages ``consensus`` and ``solve``.
@@ -140,10 +140,10 @@ class SelfCalibratingEstimator:
             # A twist is the mean velocity of a step. Interpolate those of the last step and of this
             # one to the velocities at its two frames; where that of the last step is not known, the
             # delay has not been removed yet, and both are that of this step.
-            twist_s = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
-            change_s = twist_s - last_twist_s if corrected.delay_s != 0.0 else np.zeros(6)
+            twist = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
+            change_s = twist - last_twist if corrected.delay_s != 0.0 else np.zeros(6)
             corrected = corrected.at_twists(
-                twist_s - 0.5 * change_s, twist_s + 0.5 * change_s, self._camera
+                twist - 0.5 * change_s, twist + 0.5 * change_s, self._camera
             )
             found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is not Status.OK:

@@ -40,7 +40,7 @@ from probevo.measurements.base import (
     Variable,
     VectorMeasurement,
     bounded_weight,
-    large_from,
+    large_residual_threshold,
 )
 from probevo.measurements.north import NORTH
 from probevo.measurements.sensor import Reading
@@ -300,7 +300,7 @@ def _tested(
         weight = 1.0
         if squared is not None and isinstance(measurement, VectorMeasurement):
             dim = len(measurement.covariance)
-            weight = bounded_weight(squared, large_from(dim))
+            weight = bounded_weight(squared, large_residual_threshold(dim))
             if squared > chdtri(dim, GATE):
                 weight = 0.0
             else:

@@ -33,7 +33,7 @@ from probevo.tracking.tracks import Tracks
 
 
 @dataclass(frozen=True)
-class Estimate:
+class TwoFrameEstimate:
     """The motion of N tracks, their weights, and the updated disparity filter."""
 
     solution: ReprojectionSolution
@@ -76,7 +76,7 @@ class Estimator(Protocol):
         guess: FloatArray,
         others: Sequence[Measurement] = (),
         curr: Variable = MOTION,
-    ) -> Estimate:
+    ) -> TwoFrameEstimate:
         """Estimate the motion of N tracks, with their disparities filtered over earlier frames.
 
         Args:
@@ -95,7 +95,7 @@ class Estimator(Protocol):
         disparities: DisparityFilter,
         *,
         T_curr_prev: FloatArray,
-    ) -> Estimate:
+    ) -> TwoFrameEstimate:
         """Evaluate N tracks at a known motion, [4, 4], and update the filter, as in training."""
 
 
@@ -145,7 +145,7 @@ class TwoFrameEstimator:
         guess: FloatArray,
         others: Sequence[Measurement] = (),
         curr: Variable = MOTION,
-    ) -> Estimate:
+    ) -> TwoFrameEstimate:
         """Solve for the motion, then update the disparities of the inliers."""
         # Solve, with the filtered disparities as a prior on the points.
         prior = disparities.of_tracks(tracks)
@@ -171,7 +171,7 @@ class TwoFrameEstimator:
                 camera=self.camera,
                 inliers=weights >= INLIER_FROM,
             )
-        return Estimate(
+        return TwoFrameEstimate(
             solution=solution,
             weights=weights,
             disparities=after,
@@ -185,7 +185,7 @@ class TwoFrameEstimator:
         disparities: DisparityFilter,
         *,
         T_curr_prev: FloatArray,
-    ) -> Estimate:
+    ) -> TwoFrameEstimate:
         """Evaluate the features at the motion, then update the disparities of the inliers."""
         prior = disparities.of_tracks(tracks)
         # Holding the motion, the solve is over the rig's jitter alone, if there is one.
@@ -202,7 +202,7 @@ class TwoFrameEstimator:
                 camera=self.camera,
                 inliers=weights >= INLIER_FROM,
             )
-        return Estimate(
+        return TwoFrameEstimate(
             solution=solution,
             weights=weights,
             disparities=after,

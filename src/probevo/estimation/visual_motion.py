@@ -29,7 +29,7 @@ from probevo.estimation.reprojection import (
     ReprojectionSolution,
     evaluated_at,
 )
-from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
+from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
@@ -79,7 +79,7 @@ class VisualMotion:
     residuals exceed it; None without a solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
     """The disparity filter after the step; empty unless the step was accepted."""
-    noise_factor_shown: float | None = None
+    estimated_noise_factor: float | None = None
     """Factor by which the variances of the noise model would fit the residuals; None if they do not
     show it, or if the model keeps its scale."""
     num_out_of_domain: int | None = None
@@ -118,7 +118,7 @@ class VisualMotion:
         return self.solution.iterations if self.solution else 0
 
 
-class _FittingNoise(NamedTuple):
+class _AdaptedNoise(NamedTuple):
     """The predicted noise of N tracks, scaled to the size of their residuals."""
 
     agree: BoolArray
@@ -138,13 +138,13 @@ class _Solve:
     """The tracks used."""
     noise: StereoNoise
     """Their noise."""
-    estimate: Estimate
+    estimate: TwoFrameEstimate
     noise_factor: float
     """Factor of the noise model's variances in ``noise``."""
     enlargement: float = 1.0
     """Factor by which the covariance of the motion was enlarged."""
 
-    def shown_by(self, solution: ReprojectionSolution) -> float | None:
+    def estimated_noise_factor(self, solution: ReprojectionSolution) -> float | None:
         """Return the factor by which the variances of the noise model would fit the residuals.
 
         None where they do not show it: Gaussian noise has no room for outliers, so that its scale
@@ -229,7 +229,7 @@ class VisualEstimator:
         self._drops_time_correlation = is_assumed and config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
-        self._estimator: Estimator = TwoFrameEstimator(
+        self._two_frame: Estimator = TwoFrameEstimator(
             camera, config.solver, filters_disparities=config.estimator != "window"
         )
 
@@ -266,7 +266,7 @@ class VisualEstimator:
             nothing = np.zeros(len(tracks))
             return VisualMotion(Status.TOO_FEW_TRACKS, nothing, used=nothing.astype(bool))
         # The motion under the predicted noise, and the residuals of the two frames alone.
-        solve = self._solve_with_fitting_noise(tracks, phi, consensus, priors)
+        solve = self._solve_with_adapted_noise(tracks, phi, consensus, priors)
         solution = solve.estimate.solution
         two_frames_only = self._two_frames_only(solve, priors)
         clock.lap("solve")
@@ -285,9 +285,9 @@ class VisualEstimator:
             T_reference = self._confirmed(
                 solve.estimate, solve.tracks, consensus.T_curr_prev, priors
             )
-        noise_factor_shown = None
+        estimated_noise_factor = None
         if self._scales_noise and status is Status.OK:
-            noise_factor_shown = solve.shown_by(two_frames_only)
+            estimated_noise_factor = solve.estimated_noise_factor(two_frames_only)
         weights = np.zeros(len(tracks))
         weights[solve.used] = solve.estimate.weights
         outside = solve.noise.out_of_domain
@@ -303,10 +303,10 @@ class VisualEstimator:
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
             num_out_of_domain=None if outside is None else int(outside.sum()),
-            noise_factor_shown=noise_factor_shown,
+            estimated_noise_factor=estimated_noise_factor,
         )
 
-    def _solve_with_fitting_noise(
+    def _solve_with_adapted_noise(
         self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
     ) -> _Solve:
         """Solve with the inliers of RANSAC under their predicted noise, or under a larger one if
@@ -332,7 +332,7 @@ class VisualEstimator:
             return solve
         # Then with what all tracks show of the noise, at the motion found.
         solution = estimate.solution
-        fitting = self._noise_that_fits(
+        fitting = self._adapted_noise(
             tracks,
             phi,
             solution,
@@ -344,7 +344,7 @@ class VisualEstimator:
             # There are inliers enough to determine the motion, but they understate the noise: the
             # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
             # all tracks, rather too much than too little.
-            enlargement = _scale_shown(solution.squared, noise)
+            enlargement = _residual_scale(solution.squared, noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
             enlarged = replace(solution, cov=enlargement * solution.cov)
@@ -382,9 +382,9 @@ class VisualEstimator:
         *,
         guess: FloatArray,
         priors: MotionPriors,
-    ) -> Estimate:
+    ) -> TwoFrameEstimate:
         """Solve for the motion of tracks under a noise, with all that is known beside them."""
-        return self._estimator.estimate(
+        return self._two_frame.estimate(
             tracks,
             noise,
             disparities,
@@ -415,7 +415,7 @@ class VisualEstimator:
         plain = evaluated_at(solution, observations)
         return replace(plain, cov=solve.enlargement * plain.cov)
 
-    def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
+    def _is_noisier_than_expected(self, estimate: TwoFrameEstimate) -> bool:
         """Whether most residuals are larger than the predicted noise explains.
 
         This alone is no reason to reject the frame: if the features agree on a motion, its
@@ -424,7 +424,7 @@ class VisualEstimator:
         fewest = max(self._config.solver.min_tracks, FEWEST_TRUSTED * len(estimate.weights))
         return self._config.solver.loss == "noise" and num_trusted(estimate) < fewest
 
-    def _noise_that_fits(
+    def _adapted_noise(
         self,
         tracks: Tracks,
         phi: FloatArray,
@@ -432,7 +432,7 @@ class VisualEstimator:
         *,
         jitter_cov: FloatArray | None,
         noise_factor: float,
-    ) -> _FittingNoise:
+    ) -> _AdaptedNoise:
         """Scale the noise to the residuals of N tracks at the motion and the jitter of a solve, and
         return which agree then.
 
@@ -448,11 +448,11 @@ class VisualEstimator:
         # Scale by the median of all residuals, of which at least half must be no outliers.
         squared = evaluated_at(solution, observations).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
-        factor = _scale_shown(squared, noise)
+        factor = _residual_scale(squared, noise)
         agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
         if noise_factor * factor > LARGEST_SCALE:
             agree[:] = False
-        return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
+        return _AdaptedNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
     def _predicted_noise(self, tracks: Tracks, phi: FloatArray, noise_factor: float) -> StereoNoise:
         """Return the noise of tracks by the noise model, with its variances multiplied by a
@@ -471,7 +471,7 @@ class VisualEstimator:
         return noise.scaled(np.full(len(phi), noise_factor))
 
     def _confirmed(
-        self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
+        self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
     ) -> FloatArray:
         """Return the motion at which the residuals for the next step's predictors are taken, [4,
         4].
@@ -487,7 +487,7 @@ class VisualEstimator:
         solution = estimate.solution
         equal = StudentT().predict(np.zeros((len(tracks), 0)))
         equal = equal.scaled(np.full(len(tracks), priors.noise_factor))
-        plain = self._estimator.solve(
+        plain = self._two_frame.solve(
             tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
             guess=guess,
@@ -505,12 +505,12 @@ class VisualEstimator:
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
 
 
-def num_trusted(estimate: Estimate) -> int:
+def num_trusted(estimate: TwoFrameEstimate) -> int:
     """Return the number of inliers among the tracks of a solve."""
     return int((estimate.weights >= INLIER_FROM).sum())
 
 
-def _scale_shown(squared: FloatArray, noise: StereoNoise) -> float:
+def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:
     """Return the factor by which the variance of N residuals exceeds their noise, 1 at least.
 
     Args:

@@ -25,7 +25,7 @@ ASYMMETRY = 1e-8
 """Largest difference between a covariance and its transpose, relative to its largest entry, that is
 taken as rounding."""
 
-LARGE_FROM = 0.05
+LARGE_TAIL_PROBABILITY = 0.05
 """Tail probability of a residual beyond which a bounded loss is no longer quadratic. It is the same
 for all sensors, whatever the dimension of their residual."""
 
@@ -168,7 +168,7 @@ class VectorMeasurement(ABC):
         self.covariance = covariance
         self.dof = dof
         self.gate = gate
-        self._large_from = np.inf
+        self._large_threshold = np.inf
         # By its root, no rounding makes an information negative.
         inverse_root = np.linalg.inv(root)
         self._information: FloatArray = np.asarray(inverse_root.T @ inverse_root)
@@ -202,14 +202,15 @@ class VectorMeasurement(ABC):
     def bounded(self) -> Self:
         """Return the same measurement with a bounded loss, unless it has a loss of its own.
 
-        With s the squared Mahalanobis distance and a its 95 % quantile (``LARGE_FROM``), the loss
-        is s/2 up to a, and a − a²/(2s) beyond. It never exceeds a, and its weight (a/s)² falls so
-        fast that the influence of a wrong measurement vanishes.
+        With s the squared Mahalanobis distance and a its 95 % quantile
+        (``LARGE_TAIL_PROBABILITY``), the loss is s/2 up to a, and a − a²/(2s) beyond. It never
+        exceeds a, and its weight (a/s)² falls so fast that the influence of a wrong measurement
+        vanishes.
         """
         if self.has_own_loss:
             return self
         other = copy.copy(self)
-        other._large_from = large_from(len(self.covariance))
+        other._large_threshold = large_residual_threshold(len(self.covariance))
         return other
 
     def propagated(self, values: Values) -> VectorMeasurement:
@@ -248,8 +249,8 @@ class VectorMeasurement(ABC):
             return np.zeros((jacobian.shape[1], jacobian.shape[1]))
         # (ν + d)/(ν + d + 2), written so that it is 1 for ν = ∞
         share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
-        if squared > self._large_from:
-            share *= bounded_weight(squared, self._large_from)
+        if squared > self._large_threshold:
+            share *= bounded_weight(squared, self._large_threshold)
         information: FloatArray = share * jacobian.T @ self._information @ jacobian
         return information
 
@@ -269,28 +270,28 @@ class VectorMeasurement(ABC):
         if squared > self.gate:
             return 0.0
         if np.isinf(self.dof):
-            return bounded_weight(squared, self._large_from)
+            return bounded_weight(squared, self._large_threshold)
         return (self.dof + len(self.covariance)) / (self.dof + squared)
 
     def _cost(self, squared: float) -> float:
         squared = min(squared, self.gate)
-        if squared > self._large_from:
-            return self._large_from * (1.0 - 0.5 * self._large_from / squared)
+        if squared > self._large_threshold:
+            return self._large_threshold * (1.0 - 0.5 * self._large_threshold / squared)
         if np.isinf(self.dof):
             return 0.5 * squared
         return 0.5 * (self.dof + len(self.covariance)) * float(np.log1p(squared / self.dof))
 
 
-def large_from(dim: int) -> float:
+def large_residual_threshold(dim: int) -> float:
     """Return the quantile of χ²(dim) beyond which a residual counts as large."""
-    return float(chdtri(dim, LARGE_FROM))
+    return float(chdtri(dim, LARGE_TAIL_PROBABILITY))
 
 
-def bounded_weight(squared: float, large_from: float) -> float:
+def bounded_weight(squared: float, threshold: float) -> float:
     """Return the weight of the bounded loss: 1, and (a/s)² where s is larger than a."""
-    if squared <= large_from:
+    if squared <= threshold:
         return 1.0
-    return (large_from / squared) ** 2
+    return (threshold / squared) ** 2
 
 
 def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:

@@ -272,7 +272,7 @@ def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray)
 
 
 @compiled
-def without_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArray) -> None:
+def subtract_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArray) -> None:
     """Fill ``shifted`` [N, 4] with y' − D η, where η° counts from its value at the
     linearisation."""
     change = np.empty(DOF)
@@ -419,7 +419,7 @@ def joint_normal_equations(
     """
     # The block of ξ at y' − D η. The other blocks have the robust weights of the same residuals.
     curr = np.empty((len(jitter.curr), 4))
-    without_jitter(jitter, at.eta, curr)
+    subtract_jitter(jitter, at.eta, curr)
     motion = NormalEquations(np.empty((6, 6)), np.empty(6), np.empty(len(curr)))
     cost = normal_equations(
         at.T, camera, curr, propagated=propagated, loss=loss, newton=newton, system=motion

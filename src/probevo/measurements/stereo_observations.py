@@ -43,7 +43,7 @@ from probevo.measurements.jitter_numba import (
     jitter_information,
     joint_normal_equations,
     propagate_with_jitter,
-    without_jitter,
+    subtract_jitter,
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
 from probevo.measurements.relative import relative_motion
@@ -91,7 +91,7 @@ class JitterUnknown:
         curr_px: FloatArray,
         points: PointPrior,
         *,
-        roots: JitterRoots,
+        roots: JitterPriors,
         prior: DisparityPrior | None,
         camera: Intrinsics,
         frame: int,
@@ -128,7 +128,7 @@ class JitterUnknown:
         )
 
 
-class JitterRoots(NamedTuple):
+class JitterPriors(NamedTuple):
     """The priors of the jitter in both frames."""
 
     curr_root: FloatArray
@@ -137,13 +137,13 @@ class JitterRoots(NamedTuple):
     """Prior of the previous frame's jitter; without an estimate it is N(0, S)."""
 
     @staticmethod
-    def of(cov: FloatArray, prior: DisparityPrior | None) -> JitterRoots:
+    def of(cov: FloatArray, prior: DisparityPrior | None) -> JitterPriors:
         """Build them from S, [3, 3], rad², and from the prior by earlier frames, if any."""
         root = np.linalg.cholesky(cov).astype(float)
         if prior is not None and prior.jitter is not None:
-            return JitterRoots(root, prior.jitter)
+            return JitterPriors(root, prior.jitter)
         prev = JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
-        return JitterRoots(root, prev)
+        return JitterPriors(root, prev)
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class StereoObservations:
         count = len(prev_px)
         roots = None
         if noise.jitter_cov is not None:
-            roots = JitterRoots.of(noise.jitter_cov, disparity_prior)
+            roots = JitterPriors.of(noise.jitter_cov, disparity_prior)
             prev_px = np.array(prev_px, order="C")
             # The known part of the previous jitter is a correction of the observations.
             if roots.prev.mean.any():
@@ -260,7 +260,7 @@ class StereoObservations:
         if self.jitter is None or self.linearized_jitter is None:
             return self.pairs.curr
         curr = np.empty((len(self), 4))
-        without_jitter(self.linearized_jitter, values[self.jitter.variable], curr)
+        subtract_jitter(self.linearized_jitter, values[self.jitter.variable], curr)
         return curr
 
     def points_at(self, values: Values) -> PointPrior:
@@ -301,7 +301,7 @@ class StereoObservations:
         """Return cost and normal equations in one compiled pass."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         if self.jitter is None or self.linearized_jitter is None:
-            motion = self._without_jitter(T_curr_prev, newton=newton)
+            motion = self._motion_equations(T_curr_prev, newton=newton)
         else:
             equations = JointEquations.empty()
             cost = joint_normal_equations(
@@ -375,7 +375,7 @@ class StereoObservations:
             points=points,
         )
 
-    def _without_jitter(self, T_curr_prev: FloatArray, *, newton: bool) -> Linearization:
+    def _motion_equations(self, T_curr_prev: FloatArray, *, newton: bool) -> Linearization:
         system = NormalEquations(
             hessian=np.empty((6, 6)), gradient=np.empty(6), squared=np.empty(len(self))
         )

@@ -22,7 +22,7 @@ LOG_PARAMETERS = [4, 6, 9, 13, 14]
 """Which of these are logarithms: the diagonal of the Cholesky factor, and ν."""
 
 
-class StudentTs(NamedTuple):
+class StudentTBatch(NamedTuple):
     """C Student-t distributions t_ν(b, Σ)."""
 
     scale: FloatArray
@@ -48,7 +48,7 @@ class StudentTs(NamedTuple):
         return np.ascontiguousarray(parameters, np.float32)
 
 
-class StudentPrior(NamedTuple):
+class StudentTPrior(NamedTuple):
     """The prior of a fit: a Student-t without bias, and how many errors each part counts for."""
 
     scale: FloatArray

@@ -27,8 +27,8 @@ from probevo.noise.student_t_arrays import (
     ROW,
     Neighborhoods,
     PackedErrors,
-    StudentPrior,
-    StudentTs,
+    StudentTBatch,
+    StudentTPrior,
 )
 from probevo.noise.student_t_numba import MIN_SIGMA_PX, fit_all
 
@@ -39,12 +39,12 @@ MAX_ERROR_PX = 1e12
 def fit_student_ts(
     errors: FloatArray,
     near: Neighborhoods,
-    prior: StudentPrior,
+    prior: StudentTPrior,
     *,
     error_cov: FloatArray | None = None,
     iterations: int = 12,
     robust: bool = True,
-) -> StudentTs:
+) -> StudentTBatch:
     """Fit a Student-t to each of C neighbourhoods by EM.
 
     Args:
@@ -62,7 +62,7 @@ def fit_student_ts(
         C distributions, whose scales are positive definite in double precision.
     """
     count = len(near.first) - 1
-    fitted = StudentTs(
+    fitted = StudentTBatch(
         scale=np.empty((count, DIM, DIM)), dof=np.empty(count), bias=np.zeros((count, DIM))
     )
     if error_cov is None:
@@ -77,7 +77,7 @@ def fit_student_ts(
         members=near.members.astype(np.int64),
         kernel=near.kernel.astype(np.float64),
     )
-    prior = StudentPrior(
+    prior = StudentTPrior(
         scale=regularized(np.asarray(prior.scale, np.float64)),
         dof=float(prior.dof),
         counts=float(prior.counts),
@@ -109,7 +109,7 @@ def regularized(scale: FloatArray) -> FloatArray:
 
 def fit_static(
     errors: FloatArray, error_cov: FloatArray | None = None, iterations: int = 50
-) -> StudentTs:
+) -> StudentTBatch:
     """Fit one Student-t without bias to all errors [N, 4], px: C = 1.
 
     Raises:
@@ -121,7 +121,7 @@ def fit_static(
     variance = 2.0 * float(np.median(errors**2, axis=0).mean())
     # Fewer than ten errors do not determine a scale matrix. Two pseudo-counts fix its size, and are
     # negligible against 5,000 errors.
-    prior = StudentPrior(
+    prior = StudentTPrior(
         scale=variance * np.eye(DIM), dof=5.0, counts=2.0, dof_counts=0.1, bias_counts=np.inf
     )
     near = Neighborhoods.of_all(len(errors))

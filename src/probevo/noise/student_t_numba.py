@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4, sum_in_lanes
-from probevo.noise.student_t_arrays import Neighborhoods, PackedErrors, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import Neighborhoods, PackedErrors, StudentTBatch, StudentTPrior
 
 MIN_DOF = 1.0
 MAX_DOF = 200.0
@@ -299,10 +299,10 @@ def _moments(
 def fit_all(
     samples: PackedErrors,
     near: Neighborhoods,
-    prior: StudentPrior,
+    prior: StudentTPrior,
     iterations: int,
     robust: bool,
-    fitted: StudentTs,
+    fitted: StudentTBatch,
 ) -> None:
     """Fill in ``fitted`` with the fit to each neighbourhood.
 

@@ -17,7 +17,7 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window.inertial import noise_factor_of, reason_not_used
+from probevo.estimation.window.inertial import noise_factor_of, reason_unused_at_end
 from probevo.estimation.window.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
@@ -281,7 +281,7 @@ class _Records:
             smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
-            imu_left_out=reason_not_used(odometry.window),
+            imu_left_out=reason_unused_at_end(odometry.window),
             imu_noise_factor=noise_factor_of(odometry.window),
         )
 

@@ -34,8 +34,8 @@ class CorrectedTracks:
         rig: RigCalibration | None,
         camera: StereoCamera,
         *,
-        prev_twist_s: FloatArray | None,
-        curr_twist_s: FloatArray | None,
+        prev_twist: FloatArray | None,
+        curr_twist: FloatArray | None,
     ) -> CorrectedTracks:
         """Correct raw tracks by the rig's calibration, and update its row offsets with them.
 
@@ -43,8 +43,8 @@ class CorrectedTracks:
             raw: as tracked.
             rig: the calibration before this frame; None corrects nothing.
             camera: the rectified camera.
-            prev_twist_s: twist per second at the previous frame, [6]; None if it is not known.
-            curr_twist_s: the twist per second at this frame.
+            prev_twist: twist per second at the previous frame, [6]; None if it is not known.
+            curr_twist: the twist per second at this frame.
         """
         if rig is None:
             return CorrectedTracks(
@@ -53,12 +53,12 @@ class CorrectedTracks:
         # What the delay moves depends on the velocity; while that is unknown, nothing is removed.
         delay_s = 0.0
         simultaneous = raw
-        if prev_twist_s is not None and curr_twist_s is not None:
+        if prev_twist is not None and curr_twist is not None:
             delay_s = rig.delay.delay_s
             simultaneous = replace(
                 raw,
-                prev_px=without_delay(raw.prev_px, delay_s, prev_twist_s, camera),
-                curr_px=without_delay(raw.curr_px, delay_s, curr_twist_s, camera),
+                prev_px=without_delay(raw.prev_px, delay_s, prev_twist, camera),
+                curr_px=without_delay(raw.curr_px, delay_s, curr_twist, camera),
             )
         # Row offsets need no motion, so every frame updates them, accepted or not.
         updated = rig.with_rows(simultaneous.curr_px, camera)
@@ -72,13 +72,13 @@ class CorrectedTracks:
         )
 
     def at_twists(
-        self, prev_twist_s: FloatArray, curr_twist_s: FloatArray, camera: StereoCamera
+        self, prev_twist: FloatArray, curr_twist: FloatArray, camera: StereoCamera
     ) -> CorrectedTracks:
         """Correct the same raw tracks again with better estimates of the velocity, [6] each."""
         return CorrectedTracks.of(
             self.raw,
             self.prior_rig,
             camera,
-            prev_twist_s=prev_twist_s,
-            curr_twist_s=curr_twist_s,
+            prev_twist=prev_twist,
+            curr_twist=curr_twist,
         )

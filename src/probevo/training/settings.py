@@ -255,8 +255,9 @@ class TrainSettings(Settings):
     relative: bool = Field(
         True,
         description=(
-            "Divide α by the mean α of other subsets of the same step. PROBE does not, but an error"
-            " that all subsets of a step share says nothing about single features."
+            "Divide α by the error that the covariance of its subset predicts, and by the mean over"
+            " all subsets of the same stretch. PROBE does not, but an error that all subsets share"
+            " says nothing about single features."
         ),
     )
     average: Literal["arithmetic", "geometric"] = Field(

@@ -17,11 +17,11 @@ from probevo.estimation.window.inertial import (
     ImuStatus,
     Inertial,
     may_bridge,
-    reason_not_used,
-    started,
+    reason_unused_at_end,
     trusts_gyro,
     uses_imu,
     with_samples,
+    with_states_if_consistent,
 )
 from probevo.estimation.window.inertial_start import InertialFit
 from probevo.estimation.window.inertial_states import (
@@ -211,7 +211,7 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
         if sampled.inertial is not None and sampled.inertial.prediction is not None:
             motion = sampled.inertial.prediction.T_curr_prev
         window = by.with_frame(sampled, curr.index, motion, tracks, predicted_noise)
-        window = started(adjusted_without_gauge(by, window))
+        window = with_states_if_consistent(adjusted_without_gauge(by, window))
         if len(window) > 7:
             window = by.without_oldest(window)
     assert window.frames[0] >= 60
@@ -417,7 +417,7 @@ def test_a_window_that_is_too_short_for_the_test_says_so() -> None:
     estimates = [by.step(frame) for frame in frames]
     assert "fewer than 3 window.frames" in estimates[-1].imu_left_out
     assert estimates[10].status is Status.RECOVERED
-    assert reason_not_used(by.window) == estimates[-1].imu_left_out
+    assert reason_unused_at_end(by.window) == estimates[-1].imu_left_out
 
 
 def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
@@ -500,7 +500,7 @@ def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
             assert estimate.status is Status.RECOVERED
     assert by.window is not None
     assert by.window.inertial is not None
-    assert by.window.inertial.refused
+    assert by.window.inertial.is_excluded
 
 
 def at_the_rate_of_the_frames(frame: Frame) -> Frame:
@@ -582,7 +582,7 @@ def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
     ]
     by = odometry()
     estimates = [by.step(frame) for frame in gyro_only]
-    assert reason_not_used(by.window) is None
+    assert reason_unused_at_end(by.window) is None
     assert trusts_gyro(by.window)
     assert not any(estimate.imu_left_out for estimate in estimates)
 
@@ -654,7 +654,7 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
         windows.append(by.window)
     lied = []
     for k, window in enumerate(windows):
-        if window is not None and window.inertial is not None and window.inertial.refused:
+        if window is not None and window.inertial is not None and window.inertial.is_excluded:
             lied.append(k)
     assert by.window is not None
     before = windows[lied[0] - 1]
@@ -699,7 +699,7 @@ def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run)
         ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
         ImuStatus.WAITING: (untested, True, False),
         ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
-        ImuStatus.LEFT_OUT: (used.without_states("", refused=True), False, False),
+        ImuStatus.EXCLUDED: (used.without_states("", is_excluded=True), False, False),
     }
     assert set(expected) == set(ImuStatus)
     for status, (imu, bridges, predicts) in expected.items():
@@ -719,13 +719,13 @@ def test_an_imu_that_cannot_be_tested_waits() -> None:
     window = by.window
     assert window is not None
     assert window.inertial is not None
-    untested = replace(window, inertial=window.inertial.without_states("", refused=False))
-    assert uses_imu(started(untested))
-    broken = started(replace(untested, cov=-untested.cov))
+    untested = replace(window, inertial=window.inertial.without_states("", is_excluded=False))
+    assert uses_imu(with_states_if_consistent(untested))
+    broken = with_states_if_consistent(replace(untested, cov=-untested.cov))
     assert not uses_imu(broken)
     assert broken.inertial is not None
     assert "cannot be tested" in broken.inertial.note
-    assert not broken.inertial.refused
+    assert not broken.inertial.is_excluded
 
 
 @pytest.mark.parametrize("size_rad_s", [1.0, 5.0, 1000.0])

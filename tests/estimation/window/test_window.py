@@ -710,7 +710,7 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
 
 def with_standing_factors(window: Window, by: WindowEstimator) -> FloatArray:
     """Return how far each landmark is trusted to stand still, [L]."""
-    return by._with_standing_factors(window).landmarks.standing
+    return by._with_static_weights(window).landmarks.static_weight
 
 
 def squared_along_velocity(window: Window, row: int, correlation: float) -> tuple[float, float]:
@@ -788,9 +788,7 @@ def test_what_moves_slowly_does_not_lead_the_window() -> None:
         for tests in (True, False):
             with pytest.MonkeyPatch.context() as patch:
                 if not tests:
-                    patch.setattr(
-                        WindowEstimator, "_with_standing_factors", lambda _, window: window
-                    )
+                    patch.setattr(WindowEstimator, "_with_static_weights", lambda _, window: window)
                 window = windows_of(frames, by, dof=4.0)[-1]
             T, _ = window.relative(8, 0)
             error = motion_error(T, np.linalg.matrix_power(FORWARD, 8))
@@ -799,7 +797,7 @@ def test_what_moves_slowly_does_not_lead_the_window() -> None:
                 is_tested = np.diff(window.observations.start) >= 6
                 is_moving = window.ids % 2 == 1
                 for moves in (True, False):
-                    factors[moves] += window.landmarks.standing[
+                    factors[moves] += window.landmarks.static_weight[
                         is_tested & (is_moving == moves)
                     ].tolist()
     assert np.median(factors[True]) < 0.3

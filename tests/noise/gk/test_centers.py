@@ -6,17 +6,17 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.noise import GeneralizedKernel
 from probevo.noise.gk.centers import Centers
-from probevo.noise.student_t_arrays import StudentTs
+from probevo.noise.student_t_arrays import StudentTBatch
 
-PRIOR = StudentTs(np.diag([9.0, 8.0, 7.0, 6.0])[None], np.array([30.0]), np.zeros((1, 4)))
+PRIOR = StudentTBatch(np.diag([9.0, 8.0, 7.0, 6.0])[None], np.array([30.0]), np.zeros((1, 4)))
 DOMAIN_RADIUS = 2.0
 
 
-def random_students(count: int, seed: int = 0) -> StudentTs:
+def random_students(count: int, seed: int = 0) -> StudentTBatch:
     """Scales of all directions and sizes."""
     rng = np.random.default_rng(seed)
     factor = np.exp(rng.normal(size=(count, 1, 1))) * rng.normal(size=(count, 4, 4))
-    return StudentTs(
+    return StudentTBatch(
         factor @ factor.mT + 1e-4 * np.eye(4),
         rng.uniform(2.0, 50.0, count),
         rng.normal(size=(count, 4)),
@@ -28,7 +28,9 @@ def grid() -> FloatArray:
     return np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
 
 
-def at(centers: Centers, queries: FloatArray, domain_radius: float = DOMAIN_RADIUS) -> StudentTs:
+def at(
+    centers: Centers, queries: FloatArray, domain_radius: float = DOMAIN_RADIUS
+) -> StudentTBatch:
     return centers.at(queries, domain_radius, PRIOR)[0]
 
 
@@ -47,7 +49,7 @@ def test_at_each_center_it_is_nearly_what_was_fitted_there() -> None:
     count = 25
     rng = np.random.default_rng(1)
     sigma = np.exp(rng.uniform(-3.0, 3.0, count))
-    students = StudentTs(
+    students = StudentTBatch(
         sigma[:, None, None] ** 2 * np.eye(4), np.full(count, 5.0), np.zeros((count, 4))
     )
     found = at(Centers.of(grid(), students), grid())
@@ -70,7 +72,7 @@ def test_between_centers_every_scale_is_positive_definite(seed: int) -> None:
 def test_between_two_sigmas_lies_their_geometric_mean() -> None:
     """Half way from σ = 0.1 px to 10 px it is 1 px; the prior has no
     influence."""
-    students = StudentTs(
+    students = StudentTBatch(
         np.array([0.01, 100.0])[:, None, None] * np.eye(4), np.array([4.0, 9.0]), np.zeros((2, 4))
     )
     centers = Centers.of(np.array([[0.0], [1.0]]), students)
@@ -81,7 +83,7 @@ def test_between_two_sigmas_lies_their_geometric_mean() -> None:
 
 def test_where_all_centers_agree_so_does_everything_between() -> None:
     one = random_students(1, seed=2)
-    students = StudentTs(
+    students = StudentTBatch(
         scale=np.repeat(one.scale, 25, axis=0),
         dof=np.repeat(one.dof, 25),
         bias=np.repeat(one.bias, 25, axis=0),
@@ -111,7 +113,7 @@ def test_within_reach_it_is_not_out_of_domain() -> None:
 def test_the_centers_fade_over_the_last_third_of_the_domain(distance: float, share: float) -> None:
     """In a straight line: here of the bias, which the prior has at zero."""
     bias = np.array([1.0, -2.0, 0.5, 0.0])
-    centers = Centers.of(np.zeros((1, 1)), StudentTs(PRIOR.scale, PRIOR.dof, bias[None]))
+    centers = Centers.of(np.zeros((1, 1)), StudentTBatch(PRIOR.scale, PRIOR.dof, bias[None]))
     np.testing.assert_allclose(
         at(centers, np.array([[distance]])).bias[0], share * bias, rtol=1e-5, atol=1e-6
     )

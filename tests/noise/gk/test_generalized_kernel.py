@@ -356,7 +356,7 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
     other = back.predict(queries)
     for name in ("scale", "dof", "bias", "out_of_domain"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
-    for name in ("variant", "refers_to", "camera", "training", "columns", "samples_"):
+    for name in ("variant", "refers_to", "camera", "training", "columns", "num_samples_"):
         assert getattr(back, name) == getattr(model, name)
     assert one.refers_to == other.refers_to == model.refers_to
     again = path.with_name("again.safetensors")

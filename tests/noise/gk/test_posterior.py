@@ -9,7 +9,7 @@ import probevo.noise.gk.posterior as module
 from probevo.arrays import FloatArray
 from probevo.noise import StereoNoise
 from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape, prior_of
-from probevo.noise.student_t_arrays import Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import Neighborhoods, StudentTBatch, StudentTPrior
 from probevo.noise.student_t_fit import fit_static, fit_student_ts
 
 DIM = 4
@@ -92,7 +92,7 @@ def test_the_published_prior_is_the_mean_square_of_all_errors() -> None:
     np.testing.assert_allclose(prior.scale[0], errors.T @ errors / COUNT, rtol=1e-4, atol=1e-5)
 
 
-def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[StudentTs, float]:
+def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[StudentTBatch, float]:
     """Neighbours by sorting all distances; then the fit to them."""
     places, errors = samples()
     distance = np.sqrt(np.sum((places - place) ** 2, axis=1))
@@ -102,7 +102,7 @@ def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[StudentTs, fl
     support = (distance[near[-1]] if whole else shape.reach) * (1.0 + 1e-3)
     kernel = 1.0 - (distance[near] / support) ** 2
     static = fit_static(errors)
-    prior = StudentPrior(
+    prior = StudentTPrior(
         static.scale[0],
         float(static.dof[0]),
         shape.prior_counts,

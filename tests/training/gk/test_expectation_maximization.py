@@ -279,7 +279,7 @@ def test_of_two_drives_both_are_learned_from() -> None:
     """One with truth, one without; their blocks of time are told apart."""
     drives = [supervised_drive("gt", 0, 20), supervised_drive("none", 2, 20)]
     model = learn(drives, iterations=1).model
-    assert model.samples_ == sum(len(each.drive.phi) for each in drives)
+    assert model.num_samples_ == sum(len(each.drive.phi) for each in drives)
     assert np.mean(np.abs(log_ratio(model))) < 0.1
 
 

@@ -197,9 +197,17 @@ def test_relative_alphas_are_one_if_the_noise_is_as_expected(contrast: float) ->
     world = point_world("constant", frames=25, sigma_px=(0.2, 0.2), seed=1)
     drive = drive_of(world, base=Fixed())
     one = sampler_of(
-        drive, known(world), world.camera, base=Fixed(), subset=20, contrast=contrast, relative=True
+        drive,
+        known(world),
+        world.camera,
+        base=Fixed(),
+        subset=20,
+        contrast=contrast,
+        relative=True,
     )
     alphas = np.concatenate([one.iterate(k)[1] for k in range(20)])
     assert np.sqrt(np.mean(alphas**2)) == pytest.approx(1.0, rel=0.15)
-    in_m = np.concatenate([replace(one, relative=False).iterate(k)[1] for k in range(20)])
+    in_m = np.concatenate(
+        [replace(one, divides_by_predicted=False).iterate(k)[1] for k in range(20)]
+    )
     assert np.std(np.log(alphas)) < np.std(np.log(in_m))

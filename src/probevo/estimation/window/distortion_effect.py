@@ -43,7 +43,7 @@ class DistortionEffect:
 
     @staticmethod
     def none() -> DistortionEffect:
-        """Return that of the first frame."""
+        """Return the effect on the first frame, which is none."""
         return DistortionEffect(
             sensitivity=np.zeros((1, POSE, NUM_COEFFICIENTS)),
             corrected=np.zeros((1, POSE)),
@@ -52,7 +52,7 @@ class DistortionEffect:
         )
 
     def kept(self, frames: BoolArray | slice) -> DistortionEffect:
-        """Return that of some of the frames."""
+        """Return the effect on some of the frames."""
         return replace(self, sensitivity=self.sensitivity[frames], corrected=self.corrected[frames])
 
     def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> DistortionEffect:

@@ -9,15 +9,16 @@ from probevo.arrays import FloatArray, IntArray
 POSE = 6
 """Degrees of freedom of a pose."""
 JITTER = 3
-"""Those of the jitter of a frame, ω = (pitch, yaw, roll)."""
+"""Degrees of freedom of the jitter of a frame, ω = (pitch, yaw, roll)."""
 FRAME = POSE + JITTER
-"""Those of a frame, its pose first."""
+"""Degrees of freedom of a frame, its pose first."""
 RIG = 4
-"""Those of the rig: its disparity errors b₀, b₁, b₂ and the distortion κ of its lenses."""
+"""Degrees of freedom of the rig: its disparity errors b₀, b₁, b₂ and the distortion κ of its
+lenses."""
 LENS = 3
-"""Which of these is κ."""
+"""Index of κ among the errors of the rig."""
 LANDMARK = 4
-"""Those of a landmark."""
+"""Degrees of freedom of a landmark: (u, v, d) and its time-correlated disparity error δ."""
 PIXELS = 4
 """Coordinates of an observation."""
 
@@ -65,9 +66,9 @@ class WindowLandmarks(NamedTuple):
     """(u, v, d, δ), [L, 4], px."""
     error_information: FloatArray
     """Prior information of δ around zero, [L], px⁻²."""
-    standing: FloatArray
-    """Factor of how far each is trusted, [L]: 1, and less for one that seems to move by itself
-    (``standing_factors``)."""
+    static_weight: FloatArray
+    """Weight of each, [L]: 1, and less for one that seems to move by itself
+    (``static_weights``)."""
     bias: FloatArray
     """Mean error of the last observation of each, [L, 4], px, which was taken off: the noise
     model's mean of each step's residual, summed up along the track."""
@@ -93,7 +94,7 @@ class Elimination(NamedTuple):
     """Information between a landmark and the frame of each of its M observations, [M, 4, 9]; the
     first is the anchor's."""
     rig_coupling: FloatArray
-    """The same for the rig, [L, 4, 4]."""
+    """Information between each landmark and the rig, [L, 4, 4]."""
     inverse: FloatArray
     """Inverse information of each landmark for given poses, [L, 4, 4]."""
     gradient: FloatArray

@@ -1,14 +1,14 @@
 """Bundle adjustment of a sliding window, and marginalisation of what leaves it.
 
-The errors b of the rig, of its disparities and lenses, are estimated with the poses, but trusted
-less. Errors of neighbouring features are alike, and what a frame shows of b, the next ones show
-again, so that all information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With
-p(x | b) of poses and landmarks, and p(b) of the rig, the window maximises
+Given observations y, the window estimates poses and landmarks x and the errors b of the rig, of its
+disparities and lenses. It maximises
 
-    log p(x | b) + (1/c) log p(b) + log prior(b).
+    log p(x | b, y) + (1/c) log p(y | b) + log p(b).
 
-The Schur complement of the normal equations onto b is p(b). It is divided by c in each step, and so
-is what the prior of the window contains.
+The errors of neighbouring features are correlated, and consecutive frames repeat them, hence the
+tempering of the likelihood of b by 1/c (``CORRELATED_FEATURES``). The information of p(y | b) is
+the Schur complement of x in the normal equations. Each solve divides it by c. The marginal prior
+stores it undivided, so that nothing is tempered twice.
 
 The jitter of the rig in each frame, ω_k ~ N(0, S), is eliminated from the normal equations once all
 landmarks are. When landmarks leave the window, they take what they say of it along, so that the
@@ -55,8 +55,8 @@ from probevo.estimation.window.further_measurements import with_measurements
 from probevo.estimation.window.inertial_states import InertialSystem
 from probevo.estimation.window.jitter_elimination import (
     JitterElimination,
+    eliminate_jitter,
     jitter_places,
-    without_jitter,
 )
 from probevo.estimation.window.marginalization import (
     kept_positive,
@@ -69,7 +69,7 @@ from probevo.estimation.window.normal_equations_numba import (
     accumulate,
     fill_roots,
     move_landmarks,
-    standing_factors,
+    static_weights,
 )
 from probevo.estimation.window.window import MarginalPrior, Window, merged, selected
 from probevo.geometry import se3
@@ -133,10 +133,10 @@ class WindowEstimator:
             [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m]
         )
 
-    def after_step(
+    def with_step(
         self,
         window: Window,
-        step: CalibratedMotion,
+        solved: CalibratedMotion,
         motion: RelativePose,
         *,
         noise_factor: float = 1.0,
@@ -151,7 +151,7 @@ class WindowEstimator:
 
         Args:
             window: K frames.
-            step: what the tracks between a frame of the window and the new one have shown.
+            solved: the solve of the tracks between a frame of the window and the new one.
             motion: the motion between these two frames, corrected if there is a correction.
             noise_factor: of the variance of the tracks.
             shares: how the features and their corrected motion share the information of their
@@ -159,7 +159,7 @@ class WindowEstimator:
             measurements: further measurements of the poses of the window.
         """
         # Without an accepted solve there is no noise of the features to count them with.
-        visual = step.visual
+        visual = solved.visual
         frame = motion.curr.frame
         if visual.status is not Status.OK or visual.noise is None:
             return self.without_features(window, frame, motion, measurements)
@@ -168,15 +168,15 @@ class WindowEstimator:
             noise = noise.scaled(np.full(len(noise.scale), noise_factor))
         if shares is not None:
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
-        if step.jitter_cov is not None:
-            window = replace(window, jitter_cov=step.jitter_cov)
+        if solved.jitter_cov is not None:
+            window = replace(window, jitter_cov=solved.jitter_cov)
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
-        rig = step.corrected.rig
-        tracks = step.corrected.simultaneous.kept(visual.used)
+        rig = solved.corrected.rig
+        tracks = solved.corrected.simultaneous.kept(visual.used)
         if rig is not None:
             tracks = tracks.corrected_for_window(rig, self._camera)
         after = self.with_features(
-            inertial.gated(window, motion),
+            inertial.with_inflated_factor_if_refuted(window, motion),
             frame,
             tracks,
             noise,
@@ -184,13 +184,13 @@ class WindowEstimator:
             measurements=measurements,
             motion_factor=None if shares is None else shares.motion,
         )
-        if step.corrected.rig is None or step.rig is None:
+        if solved.corrected.rig is None or solved.rig is None:
             return after
-        # The motion of the step is that of tracks corrected by the field before it.
+        # The motion was solved from tracks that were corrected by the field before the step.
         distortion = after.distortion.with_step(
-            step.common_mode.distortion_gain,
-            used_px=step.corrected.rig.image.distortion,
-            errors=step.rig.image,
+            solved.common_mode.distortion_gain,
+            used_px=solved.corrected.rig.image.distortion,
+            errors=solved.rig.image,
         )
         return replace(after, distortion=distortion)
 
@@ -267,7 +267,7 @@ class WindowEstimator:
         """
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
-        window = inertial.where_better_than(window, motion)
+        window = inertial.without_factor_if_worse(window, motion)
         guess = inertial.predicted_motion(window)
         if guess is None:
             guess = motion.T_curr_prev
@@ -293,7 +293,7 @@ class WindowEstimator:
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
-        started = inertial.started(window, self._most_frames)
+        started = inertial.with_states_if_consistent(window, self._most_frames)
         if not inertial.uses_imu(started) or inertial.uses_imu(window):
             return started
         try:
@@ -330,7 +330,8 @@ class WindowEstimator:
         what was seen before may then be found again. With an IMU that may bridge them, they are
         frames like others.
         """
-        window = inertial.testable(replace(window, marginalized=()), self._most_frames)
+        window = replace(window, marginalized=())
+        window = inertial.without_imu_if_untestable(window, self._most_frames)
         limit = self._config.frames
         if not inertial.may_bridge(window):
             leaving = window.is_blind.copy()
@@ -414,7 +415,7 @@ class WindowEstimator:
                     1.0 / np.maximum(variance[is_new], LEAST_VARIANCE_PX2),
                 ]
             ),
-            standing=np.concatenate([window.landmarks.standing, np.ones(len(first_px))]),
+            static_weight=np.concatenate([window.landmarks.static_weight, np.ones(len(first_px))]),
             bias=bias,
         )
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
@@ -423,7 +424,7 @@ class WindowEstimator:
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
         return replace(
-            inertial.extended(window),
+            inertial.with_new_frame(window),
             frames=np.append(window.frames, frame),
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
@@ -437,44 +438,46 @@ class WindowEstimator:
         )
 
     def adjusted(self, window: Window) -> Window:
-        """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
+        """Minimise the cost over poses, rig and landmarks by Levenberg–Marquardt, with the Fisher
+        information of the robust loss as the Hessian.
 
-        The rig's errors, whose information is tempered, end elsewhere than where the cost is least.
-        Where a step towards them has to raise the cost, it may, by as much as it has to.
+        The increments descend the tempered cost, but are accepted by the untempered one. One may
+        therefore raise that by what its own quadratic model predicts.
         """
         # Which landmarks seem to move by themselves is decided before, so that the cost to minimise
         # is one and the same in all iterations.
-        window = self._with_standing_factors(window)
-        # Levenberg–Marquardt, which is plain Gauss–Newton until a step has raised the cost.
-        # ``moved`` is the window to return; it is ahead of ``system`` only after the last, small
-        # step.
+        window = self._with_static_weights(window)
+        # It is plain Gauss–Newton until an increment has raised the cost. ``candidate`` is the
+        # window to return; it is ahead of ``system`` only after the last, small increment.
         system = self._system(window)
-        moved = window
+        candidate = window
         damping = 0.0
-        before = 0.0  # the decrease by the step before
+        prev_decrease = 0.0
         for _ in range(self._config.max_iterations):
-            step, decrease = self._step(system, damping)
-            moved = self._moved(system, step)
-            # Where steps shrink from one to the next by a factor, those still to come gain this.
-            still_to_gain = decrease * min(1.0, decrease / before) if before > 0.0 else decrease
-            before = decrease
-            if damping == 0.0 and still_to_gain < CONVERGED_BELOW:
+            increment, decrease = self._increment(system, damping)
+            candidate = self._incremented(system, increment)
+            # Where decreases shrink by a factor from one to the next, those to come add up to this.
+            remaining = decrease
+            if prev_decrease > 0.0:
+                remaining = decrease * min(1.0, decrease / prev_decrease)
+            prev_decrease = decrease
+            if damping == 0.0 and remaining < CONVERGED_BELOW:
                 # Cost and curvature hardly change any more, and need not be formed again.
                 break
             # Accept, and damp less, or go back, and damp more.
-            trial = self._system(moved)
+            candidate_system = self._system(candidate)
             hessian, gradient = system.equations
-            rise = max(0.0, float(step @ (0.5 * hessian @ step - gradient)))
-            if trial.cost <= system.cost + rise + COST_TOLERANCE:
-                system = trial
+            predicted_rise = max(0.0, float(increment @ (0.5 * hessian @ increment - gradient)))
+            if candidate_system.cost <= system.cost + predicted_rise + COST_TOLERANCE:
+                system = candidate_system
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
             else:
                 damping = max(LEAST_DAMPING, 10.0 * damping)
-                moved = system.window
-        # The covariance is that of the last equations formed, at most that small step before.
+                candidate = system.window
+        # The covariance is that of the last equations formed, at most that small increment before.
         cov = self._covariance(system.equations.hessian)
-        of_imu = inertial.covariance_known(moved, system.inertial, cov)
-        return replace(moved, cov=cov, inertial=of_imu)
+        of_imu = inertial.with_state_covariance(candidate, system.inertial, cov)
+        return replace(candidate, cov=cov, inertial=of_imu)
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
@@ -515,7 +518,7 @@ class WindowEstimator:
         # With inertial states, pose, velocity and biases of the frame are marginalised in one
         # block: the IMU's factor correlates them.
         of_imu = window.inertial
-        marginalised = inertial.without_first(window, system.equations)
+        marginalised = inertial.marginalize_first_frame(window, system.equations)
         if marginalised is not None:
             prior, of_imu = marginalised
         else:
@@ -563,12 +566,12 @@ class WindowEstimator:
         states[:, 2] += disparity_basis(pixels, camera) @ rig[:LENS]
         return states
 
-    def _with_standing_factors(self, window: Window) -> Window:
+    def _with_static_weights(self, window: Window) -> Window:
         """Return the window with each landmark tested for a motion of its own."""
-        standing = standing_factors(
+        static_weight = static_weights(
             self._geometry(window), window.observations, window.landmarks, self._noise
         )
-        return replace(window, landmarks=window.landmarks._replace(standing=standing))
+        return replace(window, landmarks=window.landmarks._replace(static_weight=static_weight))
 
     def _geometry(self, window: Window) -> WindowGeometry:
         return WindowGeometry(
@@ -606,7 +609,7 @@ class WindowEstimator:
             elimination=elimination,
         )
         # Eliminate the jitters; what remains are equations of poses and rig, [6K + 4].
-        reduced, jitter, jitter_cost = without_jitter(window, equations)
+        reduced, jitter, jitter_cost = eliminate_jitter(window, equations)
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
         hessian = reduced.hessian + window.prior.information
         gradient = reduced.gradient + towards_prior
@@ -625,12 +628,13 @@ class WindowEstimator:
             inertial=of_imu,
         )
 
-    def _step(self, system: _System, damping: float) -> tuple[FloatArray, float]:
-        """Solve for the step of poses and rig, [6K + 4]; information about the rig is tempered.
+    def _increment(self, system: _System, damping: float) -> tuple[FloatArray, float]:
+        """Solve for the increment of poses and rig, [6K + 4], with tempered information about the
+        rig.
 
         Returns:
-            The step, and its product with the gradient that it follows, the tempered one: about
-            twice the decrease of the tempered cost.
+            The increment, and its product with the gradient that it follows, the tempered one:
+            about twice the decrease of the tempered cost.
         """
         hessian, gradient = system.equations
         poses = slice(None, -RIG)
@@ -649,9 +653,9 @@ class WindowEstimator:
         rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_gradient = gradient[rig] - gain.T @ gradient[poses]
         tempered = rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
-        rig_step = self._rig_covariance(rig_information) @ tempered
-        decrease = gradient[poses] @ solved[:, RIG] + rig_step @ tempered
-        return np.concatenate([solved[:, RIG] - gain @ rig_step, rig_step]), float(decrease)
+        of_rig = self._rig_covariance(rig_information) @ tempered
+        decrease = gradient[poses] @ solved[:, RIG] + of_rig @ tempered
+        return np.concatenate([solved[:, RIG] - gain @ of_rig, of_rig]), float(decrease)
 
     def _covariance(self, hessian: FloatArray) -> FloatArray:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
@@ -683,21 +687,21 @@ class WindowEstimator:
         directions = sigma[:, None] * directions
         return np.asarray(directions / (1.0 + np.maximum(values, 0.0)) @ directions.T)
 
-    def _moved(self, system: _System, step: FloatArray) -> Window:
-        """Return the window after a step of poses and rig; the landmarks follow."""
+    def _incremented(self, system: _System, increment: FloatArray) -> Window:
+        """Return the window after an increment of poses and rig; the landmarks follow."""
         window = system.window
         # Back-substitution in the reverse order of the elimination: jitters, then landmarks.
-        jitter_step = system.jitter.offset - system.jitter.gain @ step
+        of_jitters = system.jitter.offset - system.jitter.gain @ increment
         at_jitter, at_others = jitter_places(len(window))
-        whole_step = np.empty(FRAME * len(window) + RIG)
-        whole_step[at_jitter] = jitter_step
-        whole_step[at_others] = step
+        of_all = np.empty(FRAME * len(window) + RIG)
+        of_all[at_jitter] = of_jitters
+        of_all[at_others] = increment
         state = np.empty_like(window.landmarks.state)
         move_landmarks(
-            window.landmarks.state, window.observations, system.elimination, whole_step, state
+            window.landmarks.state, window.observations, system.elimination, of_all, state
         )
         # T ← Exp(ξ) T for each pose.
-        T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
+        T_cam_world = se3.exp(increment[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
         # First-estimates Jacobians: a pose in the prior keeps its linearisation point. One of which
         # the prior says nothing yet may be linearised where it is.
         known = np.diagonal(window.prior.information)[:-RIG].reshape(-1, POSE)
@@ -706,9 +710,9 @@ class WindowEstimator:
             window,
             T_cam_world=T_cam_world,
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
-            rig=window.rig + step[-RIG:],
-            jitter=window.jitter + jitter_step.reshape(-1, JITTER),
-            inertial=inertial.after_step(window, system.inertial, step),
+            rig=window.rig + increment[-RIG:],
+            jitter=window.jitter + of_jitters.reshape(-1, JITTER),
+            inertial=inertial.after_increment(window, system.inertial, increment),
             landmarks=window.landmarks._replace(state=state),
         )
 
@@ -743,6 +747,6 @@ def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLa
     return WindowLandmarks(
         state=landmarks.state[keep],
         error_information=landmarks.error_information[keep],
-        standing=landmarks.standing[keep],
+        static_weight=landmarks.static_weight[keep],
         bias=landmarks.bias[keep],
     )

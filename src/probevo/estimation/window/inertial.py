@@ -83,14 +83,14 @@ class ImuStatus(Enum):
     """How far an IMU has come, from its first samples to its use."""
 
     UNUSABLE = auto()
-    """None of its samples could be preintegrated, neither in the window nor behind it."""
+    """None of its samples could be preintegrated, neither within the window nor after it."""
     WAITING = auto()
-    """Not tested yet, and without a preintegration to the frame that comes."""
+    """Not tested yet, and without a preintegration to the next frame."""
     TESTING = auto()
-    """Not tested yet, with a preintegration to the frame that comes."""
+    """Not tested yet, with a preintegration to the next frame."""
     USED = auto()
     """The poses of the window depend on it."""
-    LEFT_OUT = auto()
+    EXCLUDED = auto()
     """It has failed a test, or the window is too short for one: it is left out for good."""
 
 
@@ -102,9 +102,9 @@ class Inertial:
     factors: tuple[Preintegration | None, ...] = ()
     """Between successive frames, [K − 1]; None where there is none."""
     pending: Preintegration | None = None
-    """From the last frame to the one that comes."""
+    """From the last frame to the next one."""
     prediction: InertialPrediction | None = None
-    """The motion to the frame that comes; None before the states are known, or without samples."""
+    """The motion to the next frame; None before the states are known, or without samples."""
     states: InertialStates | None = None
     """None before the IMU has passed its test."""
     innovations: tuple[Innovation, ...] = ()
@@ -118,7 +118,7 @@ class Inertial:
     """Frames at which the test at the start was failed."""
     note: str = ""
     """Why the IMU says nothing of the last step, as the end of "the IMU …"; empty if it does."""
-    refused: bool = False
+    is_excluded: bool = False
     """Whether it has been left out for good."""
     has_measured: bool = False
     """Whether its samples have covered any interval so far."""
@@ -126,8 +126,8 @@ class Inertial:
     @property
     def status(self) -> ImuStatus:
         """How far it has come."""
-        if self.refused:
-            return ImuStatus.LEFT_OUT
+        if self.is_excluded:
+            return ImuStatus.EXCLUDED
         if self.states is not None:
             return ImuStatus.USED
         if self.pending is not None:
@@ -187,7 +187,7 @@ class Inertial:
             noise_factor=noise_factor,
         )
 
-    def without_states(self, note: str, *, refused: bool) -> Inertial:
+    def without_states(self, note: str, *, is_excluded: bool) -> Inertial:
         """Return the IMU as before its start, for a reason."""
         return replace(
             self,
@@ -195,11 +195,11 @@ class Inertial:
             prediction=None,
             pending=None,
             note=note,
-            refused=refused,
+            is_excluded=is_excluded,
             innovations=(),
             was_gated=(),
             noise_factor=1.0,
-            factors=(None,) * len(self.factors) if refused else self.factors,
+            factors=(None,) * len(self.factors) if is_excluded else self.factors,
         )
 
 
@@ -209,16 +209,16 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     Args:
         window: K frames.
         prev: the last of them.
-        frame: the one that comes, with the samples between the two.
+        frame: the next one, with the samples between the two.
     """
-    if window.inertial is None or window.inertial.refused:
+    if window.inertial is None or window.inertial.is_excluded:
         return window
-    # Start anew where no factor of the window is left, as after a long time without samples.
+    # Restart where no factor of the window is left, as after a long time without samples.
     inertial = window.inertial
     if inertial.is_used and not inertial.has_factors:
         # For as long as the window lasts: what is left of the states would only be in the way.
-        window = without_inertial(window, inertial.note, refused=False)
-        inertial = inertial.without_states(inertial.note, refused=False)
+        window = without_inertial(window, inertial.note, is_excluded=False)
+        inertial = inertial.without_states(inertial.note, is_excluded=False)
     # Preintegrate with the latest estimate of the biases, about which the factor is linearised.
     states = inertial.states
     factor = preintegrate(
@@ -245,10 +245,10 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
 
 
 def trusts_gyro(window: Window | None) -> bool:
-    """Return whether the gyro may predict the motion to the frame that comes.
+    """Return whether the gyro may predict the motion to the next frame.
 
-    It may not as long as its samples can be tested against a window, but have not passed. Samples
-    that are too few for that have none of an accelerometer's sensitivity, either.
+    While the IMU can still be tested against the window but has not passed, it may not. A gyro that
+    can never be tested there, since it has too few samples or no accelerometer, may.
     """
     if window is None or window.inertial is None:
         return True
@@ -256,7 +256,7 @@ def trusts_gyro(window: Window | None) -> bool:
 
 
 def may_bridge(window: Window) -> bool:
-    """Return whether a window has an IMU that may know the way through frames without features, or
+    """Return whether a window has an IMU that knows the motion through frames without features, or
     may yet come to know it.
 
     One whose samples have covered no interval of the window may not: too few of them, or none of
@@ -264,7 +264,7 @@ def may_bridge(window: Window) -> bool:
     """
     if window.inertial is None:
         return False
-    return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.LEFT_OUT)
+    return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.EXCLUDED)
 
 
 def has_measured(window: Window) -> bool:
@@ -277,22 +277,23 @@ def uses_imu(window: Window | None) -> bool:
     return window is not None and window.inertial is not None and window.inertial.is_used
 
 
-def gated(window: Window, seen: RelativePose) -> Window:
+def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Window:
     """Return the window with a pending factor that counts for little, if the motion that the images
     show refutes it.
 
     Its covariance grows by as much as explains by itself how far it is off. Without any factor, the
-    velocity would not be known behind this frame, nor the way through a blackout that begins there.
+    velocity would not be known after this frame, nor the motion through a blackout that begins
+    there.
 
     Args:
         window: K frames, with what the IMU measured since.
-        seen: the motion to the frame that comes, from two frames by themselves: their images, and
+        seen: the motion to the next frame, from two frames by themselves: their images, and
             sensors of the motion; corrected if there is a correction.
     """
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
         return window
-    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes. The prediction has the
+    # ν = Log(T_seen T_predicted⁻¹), along the axes of the next frame. The prediction has the
     # noise of the samples times the factor so far; what is remembered has that of the data sheet.
     prediction = inertial.prediction
     noise_factor = inertial.noise_factor
@@ -332,14 +333,14 @@ def _as_noisy_as(factor: Preintegration, error: FloatArray) -> Preintegration:
     return replace(factor, cov=max(1.0, too_large) * factor.cov)
 
 
-def where_better_than(window: Window, motion: RelativePose) -> Window:
+def without_factor_if_worse(window: Window, motion: RelativePose) -> Window:
     """Return the window without the pending factor, if that knows less of the next motion.
 
     So it is while the velocity is unknown, as after a step without samples.
 
     Args:
         window: K frames, with what the IMU measured since.
-        motion: to the frame that comes, by other means.
+        motion: to the next frame, by other means.
     """
     inertial = window.inertial
     if inertial is None or not inertial.is_used or inertial.pending is None:
@@ -354,14 +355,14 @@ def where_better_than(window: Window, motion: RelativePose) -> Window:
 
 
 def predicted_motion(window: Window) -> FloatArray | None:
-    """Return the motion T_curr_prev that the IMU predicts to the frame that comes, [4, 4], m, if it
+    """Return the motion T_curr_prev to the next frame that the IMU predicts, [4, 4], m, if it
     does."""
     if window.inertial is None or window.inertial.prediction is None:
         return None
     return window.inertial.prediction.T_curr_prev
 
 
-def reason_left_out(window: Window | None) -> str:
+def reason_unused_in_step(window: Window | None) -> str:
     """Return why the IMU was not used in the last step, if there is a reason.
 
     Of an IMU that never has enough samples, only the first step says so.
@@ -374,7 +375,7 @@ def reason_left_out(window: Window | None) -> str:
     return inertial.note
 
 
-def reason_not_used(window: Window | None) -> str | None:
+def reason_unused_at_end(window: Window | None) -> str | None:
     """Return why a window does not use its IMU at all; None if it does, or has none."""
     if window is None or window.inertial is None or window.inertial.is_used:
         return None
@@ -389,7 +390,7 @@ def noise_factor_of(window: Window | None) -> float | None:
     return window.inertial.noise_factor
 
 
-def without_inertial(window: Window, note: str, *, refused: bool = True) -> Window:
+def without_inertial(window: Window, note: str, *, is_excluded: bool = True) -> Window:
     """Return the window with its inertial states marginalised.
 
     Frames that nothing but the IMU connects keep the motion between them, with a covariance that is
@@ -398,12 +399,12 @@ def without_inertial(window: Window, note: str, *, refused: bool = True) -> Wind
     Args:
         window: K frames with their covariance.
         note: why, as the end of "the IMU …".
-        refused: whether the IMU is left out for good, or starts anew.
+        is_excluded: whether the IMU is left out for good, or starts again.
     """
     inertial = window.inertial
     if inertial is None:
         return window
-    left_out = inertial.without_states(note, refused=refused)
+    left_out = inertial.without_states(note, is_excluded=is_excluded)
     if inertial.states is None:
         return replace(window, inertial=left_out)
     # Their joint prior with the poses stays, reduced to the poses by the Schur complement; the
@@ -446,7 +447,7 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
     return motions
 
 
-def extended(window: Window) -> Window:
+def with_new_frame(window: Window) -> Window:
     """Return the window whose last frame is new with the pending factor, and states of its own."""
     inertial = window.inertial
     if inertial is None:
@@ -470,7 +471,7 @@ def bridges_newest(window: Window) -> bool:
     return inertial is not None and inertial.is_used and inertial.factors[-1] is not None
 
 
-def testable(window: Window, most_frames: int) -> Window:
+def without_imu_if_untestable(window: Window, most_frames: int) -> Window:
     """Return the window without its IMU, for good, if it is too short to test it.
 
     Args:
@@ -478,12 +479,12 @@ def testable(window: Window, most_frames: int) -> Window:
         most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
-    if inertial is None or inertial.refused or most_frames >= FEWEST_AT_START:
+    if inertial is None or inertial.is_excluded or most_frames >= FEWEST_AT_START:
         return window
     return without_inertial(window, SHORT_WINDOW)
 
 
-def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
+def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     """Return the window with inertial states, if the IMU agrees with its poses.
 
     Args:
@@ -491,7 +492,7 @@ def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
         most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
-    if inertial is None or inertial.status in (ImuStatus.USED, ImuStatus.LEFT_OUT):
+    if inertial is None or inertial.status in (ImuStatus.USED, ImuStatus.EXCLUDED):
         return window
     # The factors up to the last frame; where one is missing, as after lost samples, those before
     # it do not count.
@@ -518,9 +519,9 @@ def started(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
         return replace(window, inertial=used)
     # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1
-    refused = attempts >= MOST_ATTEMPTS
-    note = f"is left out for good: it {reason}" if refused else reason
-    tried = replace(inertial, attempts=attempts, note=note, refused=refused)
+    is_excluded = attempts >= MOST_ATTEMPTS
+    note = f"is left out for good: it {reason}" if is_excluded else reason
+    tried = replace(inertial, attempts=attempts, note=note, is_excluded=is_excluded)
     return replace(window, inertial=tried)
 
 
@@ -532,15 +533,17 @@ def system_of(window: Window) -> InertialSystem | None:
     return inertial_system(window, inertial.states, inertial.factors)
 
 
-def after_step(window: Window, system: InertialSystem | None, step: FloatArray) -> Inertial | None:
-    """Return the IMU after a step of poses and rig, [6K + 4]; its states follow."""
+def after_increment(
+    window: Window, system: InertialSystem | None, increment: FloatArray
+) -> Inertial | None:
+    """Return the IMU after an increment of poses and rig, [6K + 4]; its states follow."""
     inertial = window.inertial
     if inertial is None or inertial.states is None or system is None:
         return inertial
-    return replace(inertial, states=moved(inertial.states, system.step(step)))
+    return replace(inertial, states=moved(inertial.states, system.increment(increment)))
 
 
-def covariance_known(
+def with_state_covariance(
     window: Window, system: InertialSystem | None, cov: FloatArray
 ) -> Inertial | None:
     """Return the IMU with the covariance of its states, given that of poses and rig."""
@@ -550,7 +553,7 @@ def covariance_known(
     return replace(inertial, states=with_covariance(inertial.states, system, cov))
 
 
-def without_first(
+def marginalize_first_frame(
     window: Window, others: WindowEquations
 ) -> tuple[MarginalPrior, Inertial | None] | None:
     """Marginalise the first frame's pose and inertial states; None if there are no such states.

@@ -48,11 +48,11 @@ class InertialStates:
     """
 
     velocity: FloatArray
-    """Of the IMU, [K, 3], m/s."""
+    """Velocity of the IMU, [K, 3], m/s."""
     velocity_linear: FloatArray
-    """Its linearisation points, [K, 3]; fixed once the prior contains them."""
+    """Linearisation points of the velocities, [K, 3]; fixed once the prior contains them."""
     bias: FloatArray
-    """Of gyro, rad/s, and accelerometer, m/s², along the camera's axes, [K, 6]."""
+    """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, [K, 6]."""
     gravity_linear: FloatArray
     """Linearisation point of gravity in the world, [3], m/s²."""
     gravity_offset: FloatArray
@@ -62,11 +62,11 @@ class InertialStates:
     information: FloatArray
     """Part Λ_ii of the joint prior, [2 + 9K, 2 + 9K]."""
     vector: FloatArray
-    """η of x, [2 + 9K]."""
+    """Information vector η of x, [2 + 9K]."""
     cov: FloatArray
     """Covariance of x, [2 + 9K, 2 + 9K]."""
     cross_cov: FloatArray
-    """Its cross-covariance with poses and rig, [2 + 9K, 6K + 4]."""
+    """Cross-covariance of x with poses and rig, [2 + 9K, 6K + 4]."""
 
     @property
     def gravity(self) -> FloatArray:
@@ -111,10 +111,10 @@ class InertialSystem(NamedTuple):
         hessian = self.hessian[:p, :p] - self.hessian[:p, p:] @ self.gain
         return 0.5 * (hessian + hessian.T), self.gradient[:p] - self.gain.T @ self.gradient[p:]
 
-    def step(self, of_poses: FloatArray) -> FloatArray:
-        """Return the step of the inertial states, [q], that follows that of poses and rig, [p]."""
-        following: FloatArray = self.own @ self.gradient[self.num_poses :] - self.gain @ of_poses
-        return following
+    def increment(self, of_poses: FloatArray) -> FloatArray:
+        """Return the increment of the inertial states, [q], given that of poses and rig, [p]."""
+        of_states: FloatArray = self.own @ self.gradient[self.num_poses :] - self.gain @ of_poses
+        return of_states
 
 
 def across(vector: FloatArray) -> FloatArray:

@@ -41,7 +41,7 @@ def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
     return places
 
 
-def without_jitter(
+def eliminate_jitter(
     window: Window, equations: WindowEquations
 ) -> tuple[WindowEquations, JitterElimination, float]:
     """Eliminate the jitters of all frames, with their prior N(0, S).

@@ -37,13 +37,13 @@ from probevo.estimation.window.landmark_trust_numba import Trust
 # The sums for each state of ζ_k: its information with ζ_k, with ζ of the frame before and with the
 # rig, and its gradient.
 _WITH_PREV = FRAME
-"""Where the information between a motion and the one before it begins among the sums of pairs."""
+"""The first of these sums that is information with ζ of the frame before."""
 _WITH_RIG = _WITH_PREV + FRAME
-"""Where that between a motion and the rig begins."""
+"""The first of these sums that is information with the rig."""
 _GRADIENT = _WITH_RIG + RIG
-"""Which of the sums of pairs is the gradient."""
-PAIR = 24
-"""Number of sums for each state of a motion, rounded up to whole vectors of the processor."""
+"""Which of these sums is the gradient."""
+SUMS_PER_STATE = 24
+"""Number of sums for each state of ζ_k, rounded up to whole vectors of the processor."""
 
 
 class Workspace(NamedTuple):
@@ -114,8 +114,10 @@ def add_motions(
     """Add the observations of a landmark to the equations of the motions from its anchor frame,
     and of the jitters.
 
-    What correlates an observation with the one before it is part of the sums where that is of the
-    frame before. Behind frames that did not see the landmark it is added by itself.
+    The inverse covariance of the observations is block tridiagonal along the track. The block with
+    the previous observation is part of ``sums`` if that was made in the preceding frame. If frames
+    in between did not see the landmark, ``sums`` has no column for it, and it is added to
+    ``equations`` directly.
 
     Args:
         row: the landmark.
@@ -175,7 +177,7 @@ def add_motions(
             w1 = white[1, i]
             w2 = white[2, i]
             w3 = white[3, i]
-            for j in range(PAIR):
+            for j in range(SUMS_PER_STATE):
                 target[i, j] += (
                     w0 * factors[0, j]
                     + w1 * factors[1, j]

@@ -54,11 +54,11 @@ from probevo.estimation.window.equations import (
 _COLUMNS = FRAME + LANDMARK + RIG + 1
 """Columns of a linearised observation: frame, landmark, rig, and the error."""
 _RIG = FRAME + LANDMARK
-"""Where those of the rig begin among them."""
+"""The first column of the rig in a linearised observation."""
 _ERROR = _RIG + RIG
-"""Which of them is the error."""
+"""The column of the error in a linearised observation."""
 COMMON = LANDMARK + RIG + 1
-"""Those of states that all observations of a landmark have in common, and the error."""
+"""Columns of the states that all observations of a landmark have in common, and of the error."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
 BEHIND_CAMERA = 1e6

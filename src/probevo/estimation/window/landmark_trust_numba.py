@@ -70,7 +70,7 @@ def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
     error = problem.landmarks.state[row, 3]
     total = squared + problem.landmarks.error_information[row] * error * error
     parameter = _loss_parameter(row, observations)
-    standing = problem.landmarks.standing[row]
+    static_weight = problem.landmarks.static_weight[row]
     # n: residuals and the prior of δ, less the four states of the landmark.
     free = PIXELS * count - 3
     weight = _weight(loss, parameter, free, total)
@@ -79,15 +79,15 @@ def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
         # the white residual r. The curvature is the mean of its n eigenvalues, kept positive.
         share = 1.0 - 2.0 / free * total / (parameter + total)
         return Trust(
-            cost=standing * 0.5 * (parameter + free) * math.log1p(total / parameter),
-            weight=standing * weight,
-            curvature=standing * weight * max(0.25, share),
+            cost=static_weight * 0.5 * (parameter + free) * math.log1p(total / parameter),
+            weight=static_weight * weight,
+            curvature=static_weight * weight * max(0.25, share),
         )
     scale = free / PIXELS
     return Trust(
-        cost=standing * scale * robust_cost(loss, parameter, total / scale),
-        weight=standing * weight,
-        curvature=standing * robust_curvature(loss, parameter, total / scale, dimension=free),
+        cost=static_weight * scale * robust_cost(loss, parameter, total / scale),
+        weight=static_weight * weight,
+        curvature=static_weight * robust_curvature(loss, parameter, total / scale, dimension=free),
     )
 
 
@@ -183,9 +183,9 @@ def velocity_squared(
 
 
 @compiled_into_callers
-def standing_factor(row: int, problem: WindowProblem, total: float, of_velocity: float) -> float:
-    """Return the factor of a landmark with squared errors ``total``, s_c of which a velocity
-    explains."""
+def static_weight(row: int, problem: WindowProblem, total: float, of_velocity: float) -> float:
+    """Return the weight of a landmark with squared errors ``total``, of which a velocity explains
+    ``of_velocity``: 1 if it stands still, less the more of them a velocity explains."""
     observations = problem.observations
     count = observations.start[row + 1] - observations.start[row]
     loss = problem.noise.loss

@@ -56,13 +56,13 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     T_relative, relative_cov = after.relative(last, last - 1)
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     # What it has taught of the lenses' distortion removes nothing from that pose.
-    known_better = before.own_cov(-1) - after.own_cov(last - 1)
+    cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
     if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
         oldest = before.slot(int(after.frames[0]))
         _, from_oldest_before = before.relative(len(before) - 1, oldest)
         _, from_oldest_after = after.relative(last - 1, 0)
-        known_better = from_oldest_before - from_oldest_after
-    corrected = adjoint @ known_better @ adjoint.T
+        cov_reduction = from_oldest_before - from_oldest_after
+    corrected = adjoint @ cov_reduction @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
     if after.is_blind[-1] and _log_volume(motion.cov) < _log_volume(cov):
         # Blind frames are dead-reckoned from the last usable one, each as if by itself.

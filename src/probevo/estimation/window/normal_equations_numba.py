@@ -24,7 +24,7 @@ from probevo.estimation.window.equations import (
     WindowObservations,
 )
 from probevo.estimation.window.landmark_sums_numba import (
-    PAIR,
+    SUMS_PER_STATE,
     Workspace,
     add_common,
     add_motions,
@@ -41,7 +41,7 @@ from probevo.estimation.window.landmark_track_numba import (
 from probevo.estimation.window.landmark_trust_numba import (
     TESTED,
     VELOCITY,
-    standing_factor,
+    static_weight,
     trust_of,
     velocity_squared,
 )
@@ -85,8 +85,8 @@ def accumulate(
     )
     # A landmark moves with the motion from its anchor to a frame. What all landmarks say of one
     # such motion is summed first, so that adjoints are applied once a pair of frames.
-    sums = np.zeros((num_frames, num_frames, FRAME, PAIR))
-    factors = np.zeros((PIXELS, PAIR))
+    sums = np.zeros((num_frames, num_frames, FRAME, SUMS_PER_STATE))
+    factors = np.zeros((PIXELS, SUMS_PER_STATE))
     cost = 0.0
     # Per landmark: linearise, weigh, add what involves motions and rig, and subtract what the
     # elimination of the landmark takes away.
@@ -110,15 +110,15 @@ def accumulate(
 
 
 @compiled
-def standing_factors(
+def static_weights(
     geometry: WindowGeometry,
     observations: WindowObservations,
     landmarks: WindowLandmarks,
     noise: RobustNoise,
 ) -> FloatArray:
-    """Return the factor of how far each landmark is trusted to stand still, [L].
+    """Return the weight of each landmark, [L], by a test whether it stands still.
 
-    One with too few observations for the test keeps the factor that it has.
+    One with too few observations for the test keeps the weight that it has.
 
     Args:
         geometry: poses and rig.
@@ -130,16 +130,16 @@ def standing_factors(
     track = empty_track(len(geometry.T_cam_world))
     white = np.zeros((len(geometry.T_cam_world), PIXELS, VELOCITY))
     equations = np.zeros((TESTED, TESTED + 1))
-    factors = landmarks.standing.copy()
-    for row in range(len(factors)):
+    weights = landmarks.static_weight.copy()
+    for row in range(len(weights)):
         count = observations.start[row + 1] - observations.start[row]
         if count >= FEWEST_TESTED:
             error = landmarks.state[row, 3]
             total = linearize_track(row, problem, track)
             total += landmarks.error_information[row] * error * error
             of_velocity = velocity_squared(row, problem, track, white, equations)
-            factors[row] = standing_factor(row, problem, total, of_velocity)
-    return factors
+            weights[row] = static_weight(row, problem, total, of_velocity)
+    return weights
 
 
 @compiled

@@ -113,7 +113,7 @@ class Window:
             landmarks=WindowLandmarks(
                 state=np.zeros((0, 4)),
                 error_information=np.zeros(0),
-                standing=np.zeros(0),
+                static_weight=np.zeros(0),
                 bias=np.zeros((0, 4)),
             ),
             observations=WindowObservations(
@@ -204,10 +204,10 @@ class Window:
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
-            cov=self.own_cov(slot) + self.distortion.of_pose(slot),
+            cov=self.cov_given_distortion(slot) + self.distortion.of_pose(slot),
         )
 
-    def own_cov(self, slot: int) -> FloatArray:
+    def cov_given_distortion(self, slot: int) -> FloatArray:
         """Return the covariance of a pose, [6, 6], for a distortion field that is known exactly."""
         at = self.pose_slice(slot % len(self))
         return self.cov[at, at].copy()  # a view would keep the whole window's alive

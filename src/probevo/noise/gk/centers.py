@@ -2,7 +2,7 @@
 
 The cost of a prediction then no longer depends on the amount of training data. Between centers,
 the parameters of the nearest few are averaged with weights of inverse squared distance. The
-parameters are those of ``StudentTs.log_cholesky``: every mean is a valid distribution, and half
+parameters are those of ``StudentTBatch.log_cholesky``: every mean is a valid distribution, and half
 way between σ = 0.1 px and 10 px lies 1 px.
 """
 
@@ -18,7 +18,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.noise.gk.center_search import Leaves
 from probevo.noise.gk.center_search_numba import SingleArray
 from probevo.noise.gk.centers_numba import DOMAIN_MARGIN, interpolate
-from probevo.noise.student_t_arrays import LOG_PARAMETERS, StudentTs
+from probevo.noise.student_t_arrays import LOG_PARAMETERS, StudentTBatch
 
 MAX_LOG = 100.0
 """Bound of the logarithms of σ in pixels and of ν; a valid model stays far below."""
@@ -38,7 +38,7 @@ class Centers:
     """Log-Cholesky parameters of each distribution, [C, NUM_PARAMETERS]."""
 
     @staticmethod
-    def of(places: FloatArray, fitted: StudentTs) -> Centers:
+    def of(places: FloatArray, fitted: StudentTBatch) -> Centers:
         """Store the distributions that were fitted at C places [C, M]."""
         return Centers(
             places=np.ascontiguousarray(places.T, np.float32), parameters=fitted.log_cholesky()
@@ -68,8 +68,8 @@ class Centers:
         return max(radius, MIN_DOMAIN_RADIUS)
 
     def at(
-        self, queries: FloatArray, domain_radius: float, prior: StudentTs
-    ) -> tuple[StudentTs, BoolArray]:
+        self, queries: FloatArray, domain_radius: float, prior: StudentTBatch
+    ) -> tuple[StudentTBatch, BoolArray]:
         """Interpolate the distributions at n places, [n, M].
 
         Over the outermost part of the domain, the interpolated distribution turns into the prior.
@@ -83,7 +83,7 @@ class Centers:
             The n distributions, and which places are outside of the domain, [n].
         """
         count = len(queries)
-        mixed = StudentTs(
+        mixed = StudentTBatch(
             scale=np.empty((count, 4, 4)), dof=np.empty(count), bias=np.empty((count, 4))
         )
         nearest = self._leaves.nearest(queries)

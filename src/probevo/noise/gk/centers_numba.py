@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.compiled import compiled
 from probevo.noise.gk.center_search_numba import NEAREST, SingleArray
-from probevo.noise.student_t_arrays import NUM_PARAMETERS, StudentTs
+from probevo.noise.student_t_arrays import NUM_PARAMETERS, StudentTBatch
 
 if TYPE_CHECKING:
     from probevo.noise.gk.center_search import NearestCenters
@@ -26,7 +26,7 @@ def interpolate(
     parameters: SingleArray,
     prior: SingleArray,
     domain_radius: float,
-    mixed: StudentTs,
+    mixed: StudentTBatch,
 ) -> None:
     """Fill in the distributions from the parameters of the nearest centers and of the prior."""
     index = nearest.centers
@@ -69,7 +69,8 @@ def interpolate(
                 + wd * parameters[d, j]
             )
             mean[j] = (1.0 - share) * prior[j] + of_centers
-        # From the parameters back to bias, scale and ν: the inverse of ``StudentTs.log_cholesky``.
+        # From the parameters back to bias, scale and ν: the inverse of
+        # ``StudentTBatch.log_cholesky``.
         for i in range(4):
             mixed.bias[n, i] = mean[i]
             for j in range(i + 1):

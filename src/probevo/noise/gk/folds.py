@@ -9,7 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray, evenly
 from probevo.noise.base import StereoNoise
 from probevo.noise.gk.posterior import KernelSamples, prior_of
-from probevo.noise.student_t_arrays import StudentTs
+from probevo.noise.student_t_arrays import StudentTBatch
 from probevo.noise.student_t_fit import fit_static
 
 FOLDS = 5
@@ -25,7 +25,7 @@ class Fold:
 
     training: KernelSamples
     held_out: KernelSamples
-    prior: StudentTs
+    prior: StudentTBatch
     """Prior of the kernel, fitted to the training samples, C = 1."""
     static: FloatArray
     """Log-likelihood of each held-out error under the static Student-t of the training samples,

@@ -32,7 +32,7 @@ from probevo.noise.jitter_array import jitter_arrays, jitter_cov_of
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import origin_facts, refuse_other_camera
-from probevo.noise.student_t_arrays import DIM, StudentTs
+from probevo.noise.student_t_arrays import DIM, StudentTBatch
 from probevo.noise.student_t_fit import check_errors
 
 MAX_DOMAIN_SAMPLES = 5000
@@ -54,8 +54,8 @@ class GeneralizedKernel:
         neighbors: K, the number of errors that contribute at a place. This and the next five
             arguments are chosen from the data if None.
         reach: support ρ, in standard deviations; samples farther away do not contribute.
-        prior_counts: number of errors that the prior scale counts for; ν₀ of the published variant,
-            over 3.
+        prior_counts: number of errors that the prior scale counts for; in the published variant
+            this is ν₀ itself, which must exceed 3.
         dof_counts: the same for the prior degrees of freedom; np.inf holds them.
         bias_counts: the same for the bias, whose prior is zero; np.inf holds it there.
         weights: weight of each of the M standardised columns in the distance, [M].
@@ -119,7 +119,7 @@ class GeneralizedKernel:
         """Learn from N samples; what was not given is chosen by cross-validation.
 
         Sets ``metric_``, ``weights_``, ``shape_``, ``search_``, ``posterior_``, ``centers_``,
-        ``domain_radius_``, ``prior_`` and ``samples_``, which is N.
+        ``domain_radius_``, ``prior_`` and ``num_samples_``, which is N.
 
         Args:
             predictors: places φ of the samples, [N, M].
@@ -168,7 +168,7 @@ class GeneralizedKernel:
             reach = REACH_FACTOR * float(np.quantile(radius, REACH_QUANTILE))
             shape = replace(shape, reach=max(reach, MIN_REACH))
         self.shape_ = shape
-        self.samples_ = len(residuals)
+        self.num_samples_ = len(residuals)
 
         # Store the predictive distribution at the centers, which are some of the samples, and learn
         # from the other samples where the domain ends.
@@ -200,7 +200,7 @@ class GeneralizedKernel:
         students, counts = self.posterior_.at(coordinates, self.shape_)
         return self._noise(students, counts == 0.0)
 
-    def _noise(self, students: StudentTs, out_of_domain: BoolArray) -> StereoNoise:
+    def _noise(self, students: StudentTBatch, out_of_domain: BoolArray) -> StereoNoise:
         time_correlated = None
         if self.time_correlation_ratio:
             time_correlated = self.time_correlation_ratio**2 * disparity_variance(students.scale)
@@ -217,7 +217,7 @@ class GeneralizedKernel:
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
         return self.metric_.contributing(np.asarray(predictors, dtype=np.float64))
 
-    def _far_prior(self, fitted: StudentTs) -> StudentTs:
+    def _far_prior(self, fitted: StudentTBatch) -> StudentTBatch:
         """Return the distribution outside of the domain, C = 1, given those at the centers.
 
         As published, it is the prior. In the robust variant the prior is widened to the size
@@ -229,12 +229,12 @@ class GeneralizedKernel:
             # Eq. (12) without any sample: ν* = ν₀ and Ψ* = ν₀ R̂.
             nu = self.shape_.prior_counts
             dof = nu - DIM + 1.0
-            return StudentTs(scale=prior.scale * nu / dof, dof=np.array([dof]), bias=prior.bias)
+            return StudentTBatch(scale=prior.scale * nu / dof, dof=np.array([dof]), bias=prior.bias)
         # |Σ|^(1/d), px², of the centers, [C], and of the prior
         sizes = np.exp(np.linalg.slogdet(fitted.scale)[1] / DIM)
         prior_size = np.exp(np.linalg.slogdet(prior.scale)[1] / DIM)[0]
         widening = max(1.0, float(np.quantile(sizes, FAR_QUANTILE) / prior_size))
-        return StudentTs(scale=prior.scale * widening, dof=prior.dof, bias=prior.bias)
+        return StudentTBatch(scale=prior.scale * widening, dof=prior.dof, bias=prior.bias)
 
     def _check_input(
         self,
@@ -322,7 +322,7 @@ class GeneralizedKernel:
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
             "time_correlation_ratio": self.time_correlation_ratio,
-            "samples": self.samples_,
+            "samples": self.num_samples_,
             **origin_facts(self.camera, self.training),
         }
         return ModelFile("gk", arrays | jitter_arrays(self.jitter_cov), facts)
@@ -346,13 +346,13 @@ class GeneralizedKernel:
         )
         model.metric_ = Metric.from_arrays(facts.columns, facts.may_be_undefined, arrays)
         model.centers_ = Centers(places=arrays["places"], parameters=arrays["values"])
-        model.prior_ = StudentTs(
+        model.prior_ = StudentTBatch(
             scale=arrays["prior_scale"], dof=arrays["prior_dof"], bias=arrays["prior_bias"]
         )
         model.shape_ = KernelShape(
             reach=facts.reach, neighbors=facts.neighbors, prior_counts=facts.prior_counts
         )
-        model.samples_ = facts.samples
+        model.num_samples_ = facts.samples
         model.domain_radius_ = facts.domain_radius
         check_arrays(model.metric_, model.centers_, model.prior_)
         return model

@@ -12,7 +12,7 @@ from probevo.noise.base import RefersTo
 from probevo.noise.gk.centers import MAX_LOG, Centers
 from probevo.noise.metric import Metric, have_shapes
 from probevo.noise.origin import OriginFacts
-from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTs
+from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTBatch
 
 Variant = Literal["robust", "published"]
 MOST = 1e100
@@ -44,7 +44,7 @@ class KernelFacts(OriginFacts):
         return training
 
 
-def check_arrays(metric: Metric, centers: Centers, prior: StudentTs) -> None:
+def check_arrays(metric: Metric, centers: Centers, prior: StudentTBatch) -> None:
     """Refuse arrays that do not fit together: the compiled loops would read beyond their ends.
 
     Raises:

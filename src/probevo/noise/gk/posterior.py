@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.noise.student_t_arrays import DIM, Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import DIM, Neighborhoods, StudentTBatch, StudentTPrior
 from probevo.noise.student_t_fit import fit_static, fit_student_ts, regularized
 
 THREADS = 2
@@ -92,7 +92,7 @@ class KernelPosterior:
     samples: KernelSamples
     published: bool
     """Whether this is the published variant, or the robust one."""
-    prior: StudentTs
+    prior: StudentTBatch
     """The distribution without any sample near, C = 1."""
     order: IntArray = field(repr=False)
     """Random order in which the tree holds the samples, [N]. Of many samples at the same place the
@@ -101,7 +101,7 @@ class KernelPosterior:
 
     @staticmethod
     def of(
-        samples: KernelSamples, *, published: bool = False, prior: StudentTs | None = None
+        samples: KernelSamples, *, published: bool = False, prior: StudentTBatch | None = None
     ) -> KernelPosterior:
         """Store the samples; a prior that is not given is fitted to all of them."""
         order = np.random.default_rng(SEED).permutation(len(samples.errors))
@@ -115,7 +115,7 @@ class KernelPosterior:
 
     def at(
         self, places: FloatArray, shape: KernelShape, iterations: int = 12
-    ) -> tuple[StudentTs, FloatArray]:
+    ) -> tuple[StudentTBatch, FloatArray]:
         """Compute the predictive distribution at n places, [n, M].
 
         Returns:
@@ -128,14 +128,14 @@ class KernelPosterior:
         block = max(min(MAX_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
         starts = range(0, max(len(places), 1), block)
 
-        def predict(start: int) -> tuple[StudentTs, FloatArray]:
+        def predict(start: int) -> tuple[StudentTBatch, FloatArray]:
             """Predict at the places of one block."""
             near = self.around(places[start : start + block], shape)
             return self.fit(near, shape, iterations)
 
         with ThreadPoolExecutor(THREADS) as pool:
             parts = list(pool.map(predict, starts))
-        fitted = StudentTs(
+        fitted = StudentTBatch(
             scale=np.concatenate([part.scale for part, _ in parts]),
             dof=np.concatenate([part.dof for part, _ in parts]),
             bias=np.concatenate([part.bias for part, _ in parts]),
@@ -179,14 +179,14 @@ class KernelPosterior:
 
     def fit(
         self, near: Neighborhoods, shape: KernelShape, iterations: int
-    ) -> tuple[StudentTs, FloatArray]:
+    ) -> tuple[StudentTBatch, FloatArray]:
         """Compute the predictive distribution of given neighbourhoods; the prior, if one is empty.
 
         Returns:
             The n distributions, and Σ k of each, [n].
         """
         counts = near.counts
-        prior = StudentPrior(
+        prior = StudentTPrior(
             scale=self.prior.scale[0],
             dof=float(self.prior.dof[0]) if shape.dof is None else shape.dof,
             counts=shape.prior_counts,
@@ -207,7 +207,7 @@ class KernelPosterior:
             nu = shape.prior_counts + counts
             dof = nu - DIM + 1.0
             scale = fitted.scale * (nu / dof)[:, None, None]
-            return StudentTs(scale=scale, dof=dof, bias=fitted.bias), counts
+            return StudentTBatch(scale=scale, dof=dof, bias=fitted.bias), counts
         # ν of the shape belongs to errors under the scale of their place. The scale of all errors
         # goes with the ν that was fitted together with it.
         is_empty = counts == 0.0
@@ -222,7 +222,7 @@ class KernelPosterior:
         return distance[:, 0]
 
 
-def prior_of(samples: KernelSamples, *, published: bool) -> StudentTs:
+def prior_of(samples: KernelSamples, *, published: bool) -> StudentTBatch:
     """Fit the prior to all samples, C = 1.
 
     The robust prior is their Student-t. The published one is their mean square R̂ = Ψ₀/ν₀.
@@ -233,6 +233,6 @@ def prior_of(samples: KernelSamples, *, published: bool) -> StudentTs:
     added = 0.0 if samples.error_cov is None else samples.error_cov.sum(axis=0)
     # E[e eᵀ] of an error that is known with the covariance U only is e eᵀ + U.
     mean_square = (errors.T @ errors + added) / len(errors)
-    return StudentTs(
+    return StudentTBatch(
         scale=regularized(mean_square)[None], dof=np.array([np.inf]), bias=np.zeros((1, DIM))
     )

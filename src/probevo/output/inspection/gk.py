@@ -129,7 +129,7 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
     used_names = [column.name for column in used]
     unused_names = [name for name in model.columns if name not in used_names]
     facts = {
-        "samples": f"{model.samples_:,} from {origin(model.training)}",
+        "samples": f"{model.num_samples_:,} from {origin(model.training)}",
         "predictors": ", ".join(used_names),
     }
     if unused_names:
@@ -260,7 +260,7 @@ def _facts(view: CentersView) -> dict[str, str]:
     model = view.model
     shape = model.shape_
     source = origin(model.training)
-    facts = {"Samples": f"{model.samples_:,}" + (f" from {source}" if source else "")}
+    facts = {"Samples": f"{model.num_samples_:,}" + (f" from {source}" if source else "")}
     if model.variant == "published":
         facts["Form"] = model.variant
     else:

@@ -11,7 +11,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import SolverConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
+from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.noise.base import StereoNoise
 from probevo.training.gk.conditioning import conditioned
 from probevo.training.gk.feature_errors import FeatureErrors, errors_of
@@ -69,7 +69,7 @@ class SolvedStep:
     """Indices of the N features that may be used, among the n features of the step."""
     noise: StereoNoise
     """Predicted noise of the N features."""
-    estimate: Estimate | None
+    estimate: TwoFrameEstimate | None
     """The motion and the residuals of the N features; None if the step cannot be solved."""
 
 
@@ -248,7 +248,7 @@ def solved_steps(
             index += 1
 
 
-def _determined(estimate: Estimate) -> Estimate | None:
+def _determined(estimate: TwoFrameEstimate) -> TwoFrameEstimate | None:
     """Return the estimate if the features fix the motion, and the solve has converged."""
     solution = estimate.solution
     is_determined = solution.converged and bool(np.isfinite(solution.cov).all())

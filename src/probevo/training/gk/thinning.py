@@ -14,7 +14,7 @@ from probevo.training.supervised_drive import DriveOnDisk
 from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
 
-STEPS_PER_FEATURE = 4
+FEATURES_PER_DRAWN = 4
 """Ratio of the features in the kept steps to those that a model is fitted to, which
 ``error_samples`` draws from them. Errors within a step are correlated, so some features of many
 steps are worth more than all features of a few."""
@@ -38,10 +38,10 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
         seed: seed of the draw, which does not depend on how the drives are cut into parts.
         workers: processes that read and write the drives.
     """
-    # Thin only where more features would be left than EM draws from.
+    # Thin only where the steps that are kept still have enough features to draw from.
     num_used = sum(drive.facts.used for drive in drives)
-    # Share of the steps whose features are STEPS_PER_FEATURE times those that are drawn from them
-    share = STEPS_PER_FEATURE * MOST_FEATURES / max(num_used, 1)
+    # Share of the steps whose features are FEATURES_PER_DRAWN times those that are drawn from them
+    share = FEATURES_PER_DRAWN * MOST_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)
 

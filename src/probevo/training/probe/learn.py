@@ -89,7 +89,7 @@ def _sampler(
         solver=settings.odometry.solver,
         subset=settings.subset,
         contrast=settings.contrast,
-        relative=settings.relative,
+        divides_by_predicted=settings.relative,
         seed=(settings.odometry.seed, number),
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray, evenly
 from probevo.estimation.two_frame import TwoFrameEstimator
-from probevo.noise.probe.nearest_neighbors import LARGEST_WEIGHT
+from probevo.noise.probe.nearest_neighbors import LARGEST_BETA
 from probevo.noise.probe.neighbor_index import NeighborIndex
 from probevo.training.probe.subsets import Stream, SubsetSampler
 from probevo.training.supervision import LEAST_ALPHA_M, from_step_to_step
@@ -25,7 +25,7 @@ EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 MOST_QUERIES = 20_000
 """Samples of all drives together on which values of K are compared; more would not change which is
 best."""
-LARGEST_LOG_WEIGHT = np.log(LARGEST_WEIGHT)
+LARGEST_LOG_WEIGHT = np.log(LARGEST_BETA)
 FEWEST_ERRORS = 10
 """Number of errors from which on their standard error says how sure a mean is: of ten, a mean is
 more than one standard error off in 34 % of cases, of a Gaussian in 32 %, of three in 42 %."""

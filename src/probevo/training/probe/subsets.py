@@ -41,8 +41,8 @@ class SubsetSampler:
     """Number of features in a subset."""
     contrast: float
     """How similar the features of a subset are; 0 draws them uniformly."""
-    relative: bool
-    """Whether α is divided by the error that the geometry of the features predicts."""
+    divides_by_predicted: bool
+    """Whether α is divided by the error that the covariance of the subset predicts."""
     seed: tuple[int, ...]
     """Seed of this drive."""
 
@@ -99,7 +99,7 @@ class SubsetSampler:
         # The error over a stretch counts for each feature that took part in it. α, [U], is spread
         # to the steps of each stretch, and from there to the features of each subset.
         alphas = self.supervision.errors(T_curr_prev)
-        if self.relative:
+        if self.divides_by_predicted:
             alphas = alphas / self.supervision.predicted_errors(T_curr_prev, cov)
         return np.concatenate(features), np.repeat(alphas[stretch_of_step[steps]], self.subset)
 
