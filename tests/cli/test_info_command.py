@@ -57,11 +57,11 @@ def test_an_imu_too_slow_for_the_window_is_marked(
 ) -> None:
     """What info announces is what a run does: packets at the rate of the frames are too few."""
     rows = info(write_kitti_raw(tmp_path / "raw", frames=6), capsys)
-    assert "ms apart, where 5 are needed" in rows["! IMU"]
-    assert rows["IMU is used"].startswith("gyro to start the tracking")
+    assert "ms, where the window needs 5, or one in each 17 ms" in rows["! IMU"]
+    assert rows["use of IMU"].startswith("gyro to start the tracking")
     rows = info(write_folder_sequence(tmp_path / "folder"), capsys)
     assert "! IMU" not in rows
-    assert rows["IMU is used"].startswith("in the window, once it agrees")
+    assert rows["use of IMU"].startswith("in the window, once it agrees")
 
 
 def test_a_tracks_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -499,6 +499,30 @@ def test_results_do_not_go_into_the_recording(
     assert sorted(recording.rglob("*")) == before
 
 
+def test_results_do_not_go_into_another_recording(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = write_folder_sequence(tmp_path / "other")
+    before = sorted(other.rglob("*"))
+    assert main(["run", str(wall), "--out", str(other)]) == 2
+    assert f"--out: {other} is a recording, by its format folder" in capsys.readouterr().err
+    assert sorted(other.rglob("*")) == before
+
+
+def test_a_baseline_in_millimetres_is_warned_of(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    text = (recording / "calib.yaml").read_text()
+    found = re.search(r"baseline_m: ([0-9.]+)", text)
+    assert found is not None
+    in_mm = f"baseline_m: {1000.0 * float(found[1])}"
+    (recording / "calib.yaml").write_text(text.replace(found[0], in_mm))
+    main(["run", str(recording), "--out", str(tmp_path / "out")])
+    warned = capsys.readouterr().err
+    assert re.search(r"warning: baseline: [0-9.]+ m is unusual. Is it in metres\?", warned)
+
+
 def test_frames_without_texture_or_features_end_well_but_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -180,7 +180,7 @@ def test_samples_without_a_plausible_number_are_left_out() -> None:
     [
         (slice(0, 0), "no samples"),
         (slice(0, 1), "a single usable sample"),
-        (slice(0, 4), "4 usable samples between two frames, 85 ms apart"),
+        (slice(0, 4), "4 usable samples between two frames, and none for 85 ms"),
         (slice(0, 12), "no samples for 45 ms"),
         (np.r_[0:6, 12:21], "no samples for 35 ms"),
     ],

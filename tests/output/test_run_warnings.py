@@ -7,6 +7,7 @@ import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
+from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3
 from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
@@ -20,6 +21,7 @@ from probevo.output.run_warnings import (
     scale_warning,
     status_warning,
     timing_warning,
+    truth_warning,
 )
 from worlds import CAMERA, FORWARD, drive
 
@@ -31,6 +33,31 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     assert said is not None
     assert said.startswith("Only 1 of 4 steps are OK")
     assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
+
+
+def _winding(rng: np.random.Generator, length_m: float) -> FloatArray:
+    """Return true poses of a drive whose steps have a length of their own each, [30, 4, 4]."""
+    steps = np.tile(np.eye(4), (29, 1, 1))
+    steps[:, 2, 3] = -length_m * rng.uniform(0.5, 1.5, 29)
+    return se3.chain_motions(steps)
+
+
+def test_the_truth_of_another_recording_is_warned_of() -> None:
+    ours = _winding(np.random.default_rng(1), 1.0)
+    other = _winding(np.random.default_rng(2), 1.0)
+    steps = relative_motions(ours)
+    assert truth_warning(steps, ours) is None
+    said = truth_warning(steps, other)
+    assert said is not None
+    assert "Is it the truth of this recording" in said
+    # A wrong scale is another warning, and a truth may be coarse where the camera hardly moves.
+    twice = steps.copy()
+    twice[:, :3, 3] *= 2.0
+    assert truth_warning(twice, ours) is None
+    slow, noisy = (_winding(np.random.default_rng(seed), 0.03) for seed in (1, 2))
+    assert truth_warning(relative_motions(slow), noisy) is None
+    assert truth_warning(steps, np.full_like(ours, np.nan)) is None
+    assert truth_warning(steps, None) is None
 
 
 def _scale_said(true_m: FloatArray, steps_m: FloatArray) -> str | None:

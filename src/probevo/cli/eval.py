@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -65,8 +66,10 @@ def main(words: list[str]) -> None:
     """Parse the arguments and compare."""
     arguments = parse(EvalArguments, words, "eval")
     from probevo.evaluation.metrics import evaluate
+    from probevo.evaluation.trajectory_errors import relative_motions
     from probevo.output.files import write_json
     from probevo.output.metrics_table import metrics_rows
+    from probevo.output.run_warnings import truth_warning
 
     estimate = read_run(arguments.run) if arguments.run.is_dir() else read_trajectory(arguments.run)
     truth = read_trajectory(arguments.gt, arguments.gt_format)
@@ -90,6 +93,12 @@ def main(words: list[str]) -> None:
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
     if remark:
         print(remark)
+    T_curr_prev = estimate.T_curr_prev
+    if T_curr_prev is None:
+        T_curr_prev = relative_motions(estimate.T_world_cam)
+    warning = truth_warning(T_curr_prev, T_world_cam_true)
+    if warning is not None:
+        print(f"probevo: warning: {warning}", file=sys.stderr)
     if arguments.run.is_dir():
         write_json(arguments.run / "metrics.json", metrics.as_dict())
         print(f"written: {arguments.run / 'metrics.json'}")

@@ -110,7 +110,7 @@ def describe(sequence: Sequence) -> Rows:
         *_rate_warnings(sequence),
         *_gaps(sequence),
         ("camera", camera),
-        *_camera_warnings(sequence.camera),
+        *camera_warnings(sequence.camera),
     ]
     if isinstance(sequence, ImageRecording):
         rows += sequence.notes
@@ -127,7 +127,7 @@ def describe(sequence: Sequence) -> Rows:
             text = f"it {reason}: the window does without it, and its path is by images alone"
             rows.append(("! IMU", text))
         config = RunConfig.model_validate({"window": {"imu": "off"}})
-    rows.append(("IMU is used", imu_use_text(sequence, config)))
+    rows.append(("use of IMU", imu_use_text(sequence, config)))
     return rows
 
 
@@ -159,7 +159,8 @@ def _gaps(sequence: Sequence) -> Rows:
     return [("! gaps", text)]
 
 
-def _camera_warnings(camera: StereoCamera) -> Rows:
+def camera_warnings(camera: StereoCamera) -> Rows:
+    """Return what is unusual about a camera, and what may be wrong with it."""
     from probevo.output.run_facts import field_of_view_deg
 
     rows = []

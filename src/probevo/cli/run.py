@@ -64,6 +64,7 @@ def main(words: list[str]) -> None:
         raise InputError(
             "--out", "is the folder of the recording itself.", "Name another one for the results."
         )
+    refuse_recording(arguments.out)
     settings = settings.model_copy(update={"sequence": arguments.sequence})
 
     # Only now, after the arguments are known to be good: these imports take time.
@@ -83,10 +84,34 @@ def main(words: list[str]) -> None:
         raise InputError(arguments.sequence, what, f"The results are in {arguments.out}.")
 
 
+def refuse_recording(out: Path) -> None:
+    """Refuse a folder of results that is another recording.
+
+    Raises:
+        InputError: it is one.
+    """
+    from probevo.sequences.registry import sequence_formats
+
+    if not out.is_dir() or (out / "motions.npz").exists():
+        return
+    for known in sequence_formats().values():
+        if known.folder_signs and known.recognises(out):
+            raise InputError(
+                "--out",
+                f"{out} is a recording, by its format {known.name}.",
+                "Name another folder for the results.",
+            )
+
+
 def reader_warnings(sequence: Sequence) -> list[str]:
-    """Return what the reader could not use of a recording, such as its IMU, a sentence each."""
+    """Return what the reader could not use of a recording, such as its IMU, and what is unusual
+    about its camera, a sentence each."""
+    from probevo.cli.info import camera_warnings
+
     notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
-    return [f"{name[1:].strip()}: {text}" for name, text in notes if name.startswith("!")]
+    found = [(name, text) for name, text in notes if name.startswith("!")]
+    found += camera_warnings(sequence.camera)
+    return [f"{name[1:].strip()}: {text}" for name, text in found]
 
 
 def _defaults(words: list[str]) -> RunArguments:
@@ -204,6 +229,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
     lines += [f"{what}: {path}" for what, path in written]
     if len(result) > 1:
+        lines.append(f"trajectory: {out / 'trajectory.tum'}; covariances: {out / 'motions.npz'}")
         lines.append(f"report: {out / 'report.html'}")
     else:
         lines.append(f"results: {out}")

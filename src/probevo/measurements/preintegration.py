@@ -177,8 +177,9 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     )
     if num_samples < FEWEST_SAMPLES and hole_ns > CLOSE_NS:
         return (
-            f"has {num_samples} usable samples between two frames, {1e-6 * hole_ns:.0f} ms apart,"
-            f" where {FEWEST_SAMPLES} are needed"
+            f"has {num_samples} usable samples between two frames, and none for"
+            f" {1e-6 * hole_ns:.0f} ms, where the window needs {FEWEST_SAMPLES}, or one in each"
+            f" {1e-6 * CLOSE_NS:.0f} ms"
         )
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"

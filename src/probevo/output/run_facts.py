@@ -67,7 +67,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Format": sequence.format,
         "Frames": frames_text(result.stamps_ns, len(sequence)),
         "Camera": camera_text(sequence.camera),
-        "IMU": imu_use_text(sequence, config),
+        "IMU": imu_use_text(sequence, config, left_out=result.imu_left_out),
         "Truth": truth_text(sequence.truth, len(result)),
         **masks,
         "Noise model": config.noise,
@@ -138,8 +138,8 @@ def jitter_text(sigma_rad: FloatArray) -> str:
     """Describe the jitter of the rig: σ of the right camera's pitch, yaw and roll, [3]."""
     pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
     return (
-        f"turns against the left one from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw,"
-        f" {roll}° in roll"
+        f"jitters against the left one by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll a"
+        " frame"
     )
 
 
@@ -156,7 +156,10 @@ def focal_text(error: FocalLengthError) -> str:
     """Describe the error of the focal length, or how well it is determined."""
     sigma = readable(100.0 * error.sigma)
     if not error.is_noticeable:
-        return f"as calibrated, as far as turns of the camera show it (σ = {sigma} %)"
+        return (
+            f"as calibrated, within what is noticed: turns of the camera show a difference of"
+            f" {error.percent:+.2f} ± {sigma} %"
+        )
     longer = "longer" if error.percent > 0.0 else "shorter"
     return (
         f"where the camera turns, images show one that is {readable(abs(error.percent))} %"
@@ -184,8 +187,14 @@ def imu_noise_text(noise_factor: float) -> str:
     return f"{ratio:.1f} times as large as calibrated (σ), which is taken into account"
 
 
-def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
-    """Describe whether there is an IMU, and what it is used for."""
+def imu_use_text(sequence: Sequence, config: RunConfig, *, left_out: str | None = None) -> str:
+    """Describe whether there is an IMU, and what it is used for.
+
+    Args:
+        sequence: the recording.
+        config: settings of a run.
+        left_out: why the window did not use it in the end; None if it did, or before a run.
+    """
     if not config.imu:
         return "left out"
     if sequence.imu is None:
@@ -196,6 +205,8 @@ def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     uses += ["in the solve"] if config.gyro.prior else []
     gyro = f"gyro {', '.join(uses)}"
     if config.estimator == "window" and config.window.imu == "auto":
+        if left_out:
+            return f"not used in the window: it {left_out}; {gyro}"
         return f"in the window, once it agrees with the images; {gyro}"
     return gyro
 

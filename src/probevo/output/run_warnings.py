@@ -21,6 +21,10 @@ MAX_ACCELEROMETER_ERROR = 0.03
 """Largest plausible error of the scale by the accelerometer, whose own scale is good to 1 %."""
 MAX_HEIGHT_ERROR = 0.03
 """Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
+MAX_STEP_ERROR = 0.25
+"""Error of the steps, as a share of their length, from which on the truth may be another one's."""
+LEAST_STEP_ERROR_M = 0.05
+"""Error that a coarse truth may have in a step, m."""
 FEWEST_FOR_SCALE = 5
 """Least number of steps for the scale."""
 SCALE_SIGMAS = 3.0
@@ -50,6 +54,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
         "IMU": imu_warning(result.imu_left_out),
+        "Truth": truth_warning(result.T_curr_prev, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
         "Scale by the camera's height": height_warning(result.ground_height),
@@ -116,9 +121,12 @@ def imu_warning(reason: str | None) -> str | None:
     """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
     if not reason:
         return None
+    text = f"The IMU {reason}. The path is by images alone."
+    if reason.startswith("has "):  # what its samples are like, which no calibration mends
+        return text
     return (
-        f"The IMU {reason}. The path is by images alone. `probevo calibrate-check SEQUENCE` says"
-        " whether its unit, mounting or clock is wrong."
+        f"{text} `probevo calibrate-check SEQUENCE` says whether its unit, mounting or clock is"
+        " wrong."
     )
 
 
@@ -160,6 +168,33 @@ def sensor_warning(result: RunResult) -> str | None:
     if not texts:
         return None
     return " ".join(texts) + " The path does not use it. Is its mounting correct?"
+
+
+def truth_warning(T_curr_prev: FloatArray, truth: FloatArray | None) -> str | None:
+    """Warn if the steps have little to do with the true ones, whatever their scale; else None.
+
+    Args:
+        T_curr_prev: motions of N-1 steps, [N-1, 4, 4], m.
+        truth: true poses T_world_cam of the frames, [N, 4, 4], m; NaN where unknown.
+    """
+    if truth is None:
+        return None
+    true_m = relative_motions(truth)[:, :3, 3]
+    is_known = np.isfinite(true_m).all(axis=1)
+    if is_known.sum() < FEWEST_FOR_SCALE:
+        return None
+    true_m = true_m[is_known]
+    steps_m = T_curr_prev[is_known, :3, 3]
+    length_m = float(np.median(np.linalg.norm(true_m, axis=1)))
+    scale = float(np.sum(steps_m * true_m) / max(np.sum(steps_m * steps_m), 1e-12))
+    off_m = float(np.median(np.linalg.norm(scale * steps_m - true_m, axis=1)))
+    if off_m <= max(MAX_STEP_ERROR * length_m, LEAST_STEP_ERROR_M):
+        return None
+    return (
+        f"The steps are off the true ones by {off_m:.2g} m in the median, whatever their scale,"
+        f" where a true step is {length_m:.2g} m long. Is it the truth of this recording, with"
+        " poses T_world_cam of the camera?"
+    )
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:

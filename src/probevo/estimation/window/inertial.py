@@ -363,16 +363,8 @@ def predicted_motion(window: Window) -> FloatArray | None:
 
 
 def reason_unused_in_step(window: Window | None) -> str:
-    """Return why the IMU was not used in the last step, if there is a reason.
-
-    Of an IMU that never has enough samples, only the first step says so.
-    """
-    if window is None or window.inertial is None:
-        return ""
-    inertial = window.inertial
-    if not inertial.has_measured and len(inertial.factors) > 1:
-        return ""
-    return inertial.note
+    """Return why the IMU was not used in the last step, if there is a reason."""
+    return "" if window is None or window.inertial is None else window.inertial.note
 
 
 def reason_unused_at_end(window: Window | None) -> str | None:
