@@ -104,8 +104,8 @@ def verdict(agreement: Agreement) -> str:
         )
     if agreement.mean < 1.0 - margin:
         return (
-            f"Over {span}: the halves differ by {factor:.2f} of the σ that is claimed. The rest is"
-            " for what both have in common, or caution."
+            f"Over {span}: the halves differ by {factor:.2f} of the σ that is claimed. The rest"
+            " covers errors that both have in common, or is conservative."
         )
     return f"Over {span}: the claim holds."
 

@@ -73,9 +73,13 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
             y_edge,
             f"as of a focal length that is {focal:+.3f} % longer on the right",
         ),
-        ("rows, bend across", x_edge**2, "as of a distortion not removed"),
-        ("rows, in the corner", x_edge * y_edge, "as of a right camera turned inwards, or a lens"),
-        ("rows, bend down", y_edge**2, "as of a distortion not removed"),
+        ("rows, bend across", x_edge**2, "like uncorrected lens distortion"),
+        (
+            "rows, in the corner",
+            x_edge * y_edge,
+            "like a right camera that is turned inwards, or a lens",
+        ),
+        ("rows, bend down", y_edge**2, "like uncorrected lens distortion"),
         (
             "rows, by the radius",
             y_edge * (x_edge**2 + y_edge**2),
@@ -118,7 +122,7 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
     ):
         value = float(rig.disparity[k]) * factor
         spread = float(sigma[k]) * factor
-        cure = "points at the sides seem too near or too far, as of a distortion not removed."
+        cure = "points at the sides seem too near or too far, as by uncorrected lens distortion."
         p_value = two_sided_p(value / spread, np.inf)
         quantities.append(Quantity(name, value, spread, "px", p_value=p_value, cure=cure))
     return [*quantities, _focal_quantity(rig.focal.error())]

@@ -106,6 +106,10 @@ class GroundTruth:
         """Whether each frame has a pose, [K]."""
         return np.asarray(np.isfinite(self.T_world_cam).all(axis=(1, 2)))
 
+    def __repr__(self) -> str:
+        """Return the number of frames and of true poses in one line."""
+        return f"GroundTruth({len(self.stamps_ns)} frames, {self.known.sum()} with a pose)"
+
 
 def size_text(image: Image) -> str:
     """Return width × height of an image as text."""

@@ -136,7 +136,7 @@ def time_correlation_text(ratio: float) -> str:
     """
     if not ratio:
         return "none"
-    return f"σ of {ratio:.2g} times that of what is new of a disparity's error in a frame"
+    return f"σ of the disparity is {ratio:.2g} times that of the part that is new in each frame"
 
 
 def learned_jitter_text(jitter_cov: FloatArray | None) -> str:
