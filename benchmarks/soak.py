@@ -19,8 +19,9 @@ exception of a sensor, of the noise model or of the callback, or by a damaged im
 1,000 frames altogether. Some 10 of 1,000 frames are lost, and 5 black. What was injected is
 compared with `stopped` and `faults` of the `metrics.json` that the run has written.
 
-Resident memory, memory in use (`heap.py`), the number of small Python objects, threads and file
-handles are sampled. Slopes are fitted to the means of rounds through all versions of the recording,
+Every hundred frames, freed memory is given back, as docs/performance.md says. Resident memory,
+before and after that, memory in use (`heap.py`), the number of small Python objects, threads and
+file handles are sampled. Slopes are fitted to the means of rounds through all versions of the recording,
 after the first ten minutes of frames, or a fifth of them if these are fewer, and are those of an
 hour of frames, with their standard error. Latencies are those of the clock, which
 depend on what else the machine does, and those of the processor time of the thread that steps.
@@ -30,6 +31,7 @@ Linux.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import sys
@@ -72,11 +74,11 @@ STOP_SHARE = 0.00025
 STALL_S = 0.2
 LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
-RELEASE_EVERY = 100
-"""Frames after which a process of hours gives freed memory back, as docs/performance.md says."""
+WARM = 500
+"""Frames after which all is compiled, and what lives by then lives to the end."""
 MOST_STEPS = 1_000_000
 EVERY = 100
-"""Frames from one sample of memory to the next."""
+"""Frames from one sample of memory, and one release, to the next."""
 RATE_HZ = 10.0
 SETTLED = int(600.0 * RATE_HZ)
 """Frames after which memory should not grow: ten minutes."""
@@ -248,9 +250,10 @@ class Watch:
     num_steps: int = 0
     times_ms: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS, 2), 1.0))
     """By the clock and by the processor; written to now, so that it is in memory from now on."""
-    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 6), 1.0))
-    """Step, resident memory and memory in use (NaN where it is not known) in MB, small objects,
-    threads, handles; rows of numbers, since the objects of a list would be counted, too."""
+    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 7), 1.0))
+    """Step, resident memory before and after the release, and memory in use (NaN where it is not
+    known) in MB, small objects, threads, handles; rows of numbers, since the objects of a list
+    would be counted, too."""
 
     def is_over(self) -> bool:
         """Whether the frames or the minutes are over."""
@@ -264,28 +267,34 @@ class Watch:
         if self.num_steps % EVERY == 0:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
+            gathered_mb = resident_mb()
+            if self.num_steps == WARM:
+                gc.freeze()
+            if self.num_steps >= WARM:
+                gc.collect()
+            release_freed_memory()
             used_mb = heap_mb()
             self.samples[self.num_steps // EVERY - 1] = (
                 self.num_steps,
+                gathered_mb,
                 resident_mb(),
                 np.nan if used_mb is None else used_mb,
                 sys.getallocatedblocks(),
                 threads,
                 handles,
             )
-        if self.num_steps % RELEASE_EVERY == 0:  # after the sample: it shows what has gathered
-            release_freed_memory()
 
     def facts(self) -> dict[str, Any]:
         """Return what was found."""
         samples = self.samples[: self.num_steps // EVERY]
         late = samples[samples[:, 0] >= min(SETTLED, 0.2 * samples[-1, 0])]
-        frames, memory_mb, used_mb, objects, threads, handles = late.T
+        frames, gathered_mb, memory_mb, used_mb, objects, threads, handles = late.T
         return {
             "frames": self.num_steps,
             "minutes": (time.monotonic() - self.start_s) / 60.0,
             "slope_from_frame": int(frames[0]),
             "memory_mb_per_hour": _per_hour(frames, memory_mb, self.round_frames),
+            "memory_before_release_mb_per_hour": _per_hour(frames, gathered_mb, self.round_frames),
             "heap_mb_per_hour": _per_hour(frames, used_mb, self.round_frames),
             "objects_per_hour": _per_hour(frames, objects, self.round_frames),
             "memory_mb": _first_most_last(memory_mb),
