@@ -21,9 +21,9 @@ compared with `stopped` and `faults` of the `metrics.json` that the run has writ
 
 Every hundred frames, freed memory is given back, as docs/performance.md says. Resident memory,
 before and after that, memory in use (`heap.py`), the number of small Python objects, threads and
-file handles are sampled. Slopes are fitted to the means of rounds through all versions of the recording,
-after the first ten minutes of frames, or a fifth of them if these are fewer, and are those of an
-hour of frames, with their standard error. Latencies are those of the clock, which
+file handles are sampled. Slopes are fitted to the means of rounds through all versions of the
+recording, after the first ten minutes of frames, or a fifth of them if these are fewer, and are
+those of an hour of frames, with their standard error. Latencies are those of the clock, which
 depend on what else the machine does, and those of the processor time of the thread that steps.
 Linux.
 """
