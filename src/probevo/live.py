@@ -70,12 +70,12 @@ class _Arrival:
     """Frames whose step failed right before it."""
 
     def after_dropped(self, earlier: _Arrival) -> _Arrival:
-        """Return the same without the one before it, which is dropped."""
+        """Return this arrival with the IMU samples and counts of an earlier one that is dropped."""
         joined = self._joined(earlier)
         return replace(joined, num_dropped=joined.num_dropped + 1)
 
     def after_failed(self, earlier: _Arrival) -> _Arrival:
-        """Return the same without the one before it, whose step failed."""
+        """Return this arrival with the IMU samples and counts of an earlier one that failed."""
         joined = self._joined(earlier)
         return replace(joined, num_failed=joined.num_failed + 1)
 
@@ -205,7 +205,7 @@ class LiveOdometry:
         time_s = perf_counter()
         with self._changed:
             if self._fault is not None:
-                del frame  # the fault, which is kept, keeps this call once it is raised here
+                del frame  # a kept traceback refers to this call: do not keep the images with it
             self._raise_fault()
             if self._closed:
                 raise RuntimeError("pushed a frame after close()")
@@ -253,8 +253,8 @@ class LiveOdometry:
                 current step is finished.
         """
         self._end(drain)
-        # The last time that the fault is raised. If it was kept behind that, it and its traceback
-        # would refer to each other, through the calls that it passes now.
+        # Forget the fault before it is raised for the last time: kept, it and its traceback would
+        # form a cycle.
         with self._changed:
             fault = self._fault
             traceback = self._fault_traceback
@@ -299,7 +299,7 @@ class LiveOdometry:
             raise self._fault.with_traceback(self._fault_traceback)
 
     def _work(self, odometry: StereoOdometry) -> None:
-        """Step the odometry until it is closed, and keep what has ended that: the thread."""
+        """Run the thread: step until closed, and keep the exception that ends it early."""
         try:
             self._step_frames(odometry)
         except BaseException as error:  # noqa: BLE001 - raised again in the threads that ask
@@ -308,7 +308,7 @@ class LiveOdometry:
                 self._fault = error
                 self._fault_traceback = error.__traceback__
         finally:
-            del odometry  # an exception keeps this call
+            del odometry  # a kept traceback refers to this call
             with self._changed:
                 if self._last_failure is not None:
                     _release_variables(self._last_failure)  # of the call that was running then

@@ -532,7 +532,7 @@ def reference_of(
     )
     visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
     tracks = tracks if contradicting is None else contradicting
-    return solution, visual._confirmed(of_all, tracks, FORWARD, priors_of())
+    return solution, visual._reference_motion(of_all, tracks, FORWARD, priors_of())
 
 
 def test_a_noise_that_follows_a_car_is_contradicted_by_the_street() -> None:

@@ -291,7 +291,7 @@ def examine(sequence: Sequence) -> Rows:
     import numpy as np
 
     from probevo.tracking import TrackingState, Tracks, tracker_for
-    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, exchange, looks_swapped
+    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, how_to_swap, looks_swapped
 
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))
     pairs = [
@@ -334,7 +334,7 @@ def examine(sequence: Sequence) -> Rows:
     if looks_swapped(num_positive, num_negative):
         text = (
             f"{num_negative} of {num_matches} have negative disparity. Are left and right swapped?"
-            f" {exchange(sequence.path)}"
+            f" {how_to_swap(sequence.path)}"
         )
         return [("! matches", text)]
     if len(pixels) < 2:

@@ -59,7 +59,10 @@ def initial_motion(
     if config.ransac.mode == "off":
         T_curr_prev = _centroid_motion(tracks.kept(plausible), camera, prediction.T_curr_prev)
         return Consensus(T_curr_prev, plausible)
-    uses_gyro = gyro is not None and config.ransac.rotation_from == "gyro"
+    # RANSAC samples the translation alone where the gyro knows the rotation.
+    C_curr_prev = None
+    if gyro is not None and config.ransac.rotation_from == "gyro":
+        C_curr_prev = gyro.C_curr_prev
     # If there are hardly any inliers, the tracks are noisier than the threshold assumes: widen it.
     for widening in WIDENINGS:
         consensus = find_consensus(
@@ -67,7 +70,7 @@ def initial_motion(
             camera,
             rng=rng,
             guess=prediction.T_curr_prev,
-            C_curr_prev=gyro.C_curr_prev if gyro is not None and uses_gyro else None,
+            C_curr_prev=C_curr_prev,
             threshold=InlierThreshold(widening * config.ransac.threshold_px, right_sigma_px),
             confidence=config.ransac.confidence,
         )

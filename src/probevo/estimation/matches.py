@@ -95,18 +95,17 @@ def estimate_motion(
     # From there each match is tested by its own noise, again and again as the motion improves. If
     # those within one threshold were kept instead, noisy matches would be cut off, and the
     # covariance would be too small.
-    used = consensus.inliers
+    agreeing = consensus.inliers
     T_curr_prev = consensus.T_curr_prev
     for _ in range(MOST_SOLVES):
+        used = agreeing
         if used.sum() < MIN_MATCHES:
             return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
         solution = _solved(tracks, of_matches, used, camera, T_curr_prev)
         T_curr_prev = solution.T_curr_prev
-        used_before = used
-        used = _agree(tracks, of_matches, camera, solution)
-        if (used == used_before).all():
+        agreeing = _agree(tracks, of_matches, camera, solution)
+        if (agreeing == used).all():
             break
-    used = used_before  # by the last solve
     if not np.isfinite(solution.cov).all():
         return _failed(Status.DEGENERATE, start, len(tracks))
     return MotionEstimate(

@@ -20,21 +20,20 @@ INNOVATION_GATE = 60.0
 rejected: about 7σ."""
 
 LARGEST_STAMP_SHARE = 0.05
-"""Largest standard deviation of a stamp, as a share of the time between frames. A motion that is up
-to half too long or too short then passes the gate, and none at all does not; with 5 ms at 30 Hz,
-stamps could explain that a driving camera stands still."""
+"""Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
+admits motions that are half too long or too short; 5 ms at 30 Hz would also admit a standstill."""
 
 LEAST_SIGMA = 1e-5
-"""Standard deviation that a prediction has at least, m and rad. Within a microsecond nothing moves,
-and that would be so certain that rounding loses what features know."""
+"""Least standard deviation of a prediction, m and rad. Over a microsecond, that of the motion would
+be so small that rounding loses the information of the features."""
 
 FASTEST_START = 1.5
 """Fastest forward speed that is tried at the start, in standard deviations of its prior."""
 
 SUDDEN_TURN_RAD_S2 = 20.0
-"""Angular acceleration, a standard deviation, that the gate takes for possible at any time. A
-camera in a hand may be turned like that from rest; and what moves on its own before a camera, such
-as a lorry, looks like a shift of the camera, hardly like a turn."""
+"""Standard deviation of the angular acceleration that the gate allows for at any time. A hand-held
+camera may turn like that from rest, while a moving object, such as a lorry, looks like a
+translation of the camera, hardly like a rotation."""
 
 MOST_GAPS = 10
 """Steps in a row that may be gaps, before their duration is taken for that of another frame
@@ -90,7 +89,7 @@ class MotionPrediction:
         return self.contradicts(T_curr_prev, with_sudden_turn)
 
     def contradicts(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
-        """Return whether a motion of which this is the covariance is far outside of that of the
+        """Return whether a motion with covariance ``cov`` lies beyond ``INNOVATION_GATE`` of the
         prediction."""
         innovation = self.innovation(T_curr_prev)
         # Both are independent, so their covariances add up.

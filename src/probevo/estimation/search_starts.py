@@ -55,8 +55,8 @@ def rotated_starts(
 def _with_rotations(
     T_curr_prev: FloatArray, rotations: list[FloatArray], camera: StereoCamera
 ) -> list[FloatArray]:
-    """Return a start, [4, 4], with each rotation, [3, 3], in place of its own, but for those that
-    are so near to it that they lead to the same tracks."""
+    """Return a start, [4, 4], with the predicted translation for each rotation, [3, 3]; rotations
+    so near to the predicted one that they lead to the same tracks are left out."""
     starts = []
     for C_curr_prev in rotations:
         difference = so3.log(C_curr_prev @ T_curr_prev[:3, :3].T)

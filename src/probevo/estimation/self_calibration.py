@@ -133,26 +133,26 @@ class SelfCalibratingEstimator:
             seed: of RANSAC's samples; every repeated solve draws the same ones.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
-        found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
+        found = self._solve_until_jitter_fits(corrected, phi, priors, seed=seed, clock=clock)
         rig = corrected.rig
-        is_late = rig is not None and is_noticeable(rig.delay.delay_s)
-        if found.visual.status is Status.OK and is_late:
+        has_delay = rig is not None and is_noticeable(rig.delay.delay_s)
+        if found.visual.status is Status.OK and has_delay:
             # A twist is the mean velocity of a step. Interpolate those of the last step and of this
             # one to the velocities at its two frames; where that of the last step is not known, the
             # delay has not been removed yet, and both are that of this step.
             twist = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
-            change_s = twist - last_twist if corrected.delay_s != 0.0 else np.zeros(6)
+            twist_change = twist - last_twist if corrected.delay_s != 0.0 else np.zeros(6)
             corrected = corrected.at_twists(
-                twist - 0.5 * change_s, twist + 0.5 * change_s, self._camera
+                twist - 0.5 * twist_change, twist + 0.5 * twist_change, self._camera
             )
-            found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
+            found = self._solve_until_jitter_fits(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is not Status.OK:
             # Keep the row offsets, which need no motion, and discard all else: the motion that it
             # depends on was rejected.
             return replace(found, rig=corrected.rig)
-        return replace(found, rig=self._with_delay(found, duration_s))
+        return replace(found, rig=self._rig_with_delay(found, duration_s))
 
-    def _with_jitter(
+    def _solve_until_jitter_fits(
         self,
         corrected: CorrectedTracks,
         phi: FloatArray,
@@ -193,7 +193,7 @@ class SelfCalibratingEstimator:
             corrected, visual, rig=updated, common_mode=common_mode, jitter_cov=jitter_cov
         )
 
-    def _with_delay(self, found: CalibratedMotion, duration_s: float) -> RigCalibration | None:
+    def _rig_with_delay(self, found: CalibratedMotion, duration_s: float) -> RigCalibration | None:
         """Return the calibration after an accepted solve, with the exposure delay updated."""
         visual = found.visual
         if found.rig is None or visual.two_frames_only is None:

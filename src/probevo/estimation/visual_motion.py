@@ -44,7 +44,7 @@ from probevo.tracking.tracks import Tracks
 LARGEST_SCALE = 30.0
 """Largest factor by which the variances may exceed those of the noise model: 5 times σ, or 1 px
 with ``student-t``. With more, the features do not agree on a motion."""
-FEWEST_TRUSTED = 0.5
+MIN_INLIER_SHARE = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
 MINORITY_FACTOR = 2
@@ -282,7 +282,7 @@ class VisualEstimator:
         # for those that RANSAC rejected.
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
-            T_reference = self._confirmed(
+            T_reference = self._reference_motion(
                 solve.estimate, solve.tracks, consensus.T_curr_prev, priors
             )
         estimated_noise_factor = None
@@ -421,7 +421,7 @@ class VisualEstimator:
         This alone is no reason to reject the frame: if the features agree on a motion, its
         covariance is enlarged to what the residuals show.
         """
-        fewest = max(self._config.solver.min_tracks, FEWEST_TRUSTED * len(estimate.weights))
+        fewest = max(self._config.solver.min_tracks, MIN_INLIER_SHARE * len(estimate.weights))
         return self._config.solver.loss == "noise" and num_trusted(estimate) < fewest
 
     def _adapted_noise(
@@ -470,7 +470,7 @@ class VisualEstimator:
             return noise
         return noise.scaled(np.full(len(phi), noise_factor))
 
-    def _confirmed(
+    def _reference_motion(
         self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
     ) -> FloatArray:
         """Return the motion at which the residuals for the next step's predictors are taken, [4,

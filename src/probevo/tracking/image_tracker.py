@@ -40,7 +40,7 @@ NO_FIT = "no longer looks as at first sight"
 
 
 @dataclass(frozen=True)
-class _FoundInTime:
+class _TemporalMatches:
     """N features of the previous frame, found in the current left image."""
 
     prev: TrackingState
@@ -75,7 +75,7 @@ class Followed:
 
 
 @dataclass(frozen=True)
-class _FoundInStereo:
+class _StereoMatches:
     """M of N points in the left image, found in the right one."""
 
     matched: BoolArray
@@ -116,8 +116,8 @@ class ImageTracker:
         images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
         # In the current left image, with their predicted disparity, and from there in the right.
-        found = self._find_in_time(state, images, T_curr_prev, rejected=rejected)
-        in_stereo = self._find_in_stereo(
+        found = self._match_in_time(state, images, T_curr_prev, rejected=rejected)
+        in_stereo = self._match_in_stereo(
             images,
             found.left_px,
             found.patches,
@@ -163,7 +163,7 @@ class ImageTracker:
             images.corners, followed.left_px, image.shape, config=self._config
         )
         rejected = Counter(followed.tracks.rejected)
-        in_stereo = self._find_in_stereo(
+        in_stereo = self._match_in_stereo(
             images,
             corners,
             AnchorPatches.cut(image, corners, self._config.window_px),
@@ -187,14 +187,14 @@ class ImageTracker:
         )
         return Tracked(replace(followed.tracks, rejected=dict(rejected)), state)
 
-    def _find_in_time(
+    def _match_in_time(
         self,
         prev: TrackingState,
         images: PreparedImages,
         T_curr_prev: FloatArray,
         *,
         rejected: Counter[str],
-    ) -> _FoundInTime:
+    ) -> _TemporalMatches:
         """Find the features of the previous frame in the current left image."""
         left = images.left
         image = left[0]
@@ -244,7 +244,7 @@ class ImageTracker:
         followed = replace(prev, patches=None).subset(alive)
         # d = f_u b/z grows as the depth shrinks. A negative one is noise: at infinity it is zero.
         prev_disparity_px = np.maximum(followed.pixels[:, 0] - followed.pixels[:, 2], 0.0)
-        return _FoundInTime(
+        return _TemporalMatches(
             prev=followed,
             left_px=aligned.pixels[kept],
             patches=aligned.patches.subset(kept),
@@ -253,7 +253,7 @@ class ImageTracker:
             cov_px2=aligned.cov_px2[kept],
         )
 
-    def _find_in_stereo(
+    def _match_in_stereo(
         self,
         images: PreparedImages,
         left_px: FloatArray,
@@ -263,7 +263,7 @@ class ImageTracker:
         are_new: bool,
         fewest: int,
         rejected: Counter[str],
-    ) -> _FoundInStereo:
+    ) -> _StereoMatches:
         """Find N points of the left image in the right one.
 
         Args:
@@ -317,7 +317,7 @@ class ImageTracker:
         # ``fits`` is over the points that look alike; scatter it over all N.
         matched = alike.copy()
         matched[alike] = fits
-        return _FoundInStereo(
+        return _StereoMatches(
             matched=matched,
             right_px=aligned.pixels[fits],
             patches=aligned.patches.subset(fits),

@@ -59,11 +59,11 @@ def check_left_right(num_positive: int, num_negative: int, where: str | Path) ->
             where,
             f"{num_negative} of the first {num_positive + num_negative} stereo matches have"
             " negative disparity.",
-            f"Are left and right swapped? {exchange(where)}",
+            f"Are left and right swapped? {how_to_swap(where)}",
         )
 
 
-def exchange(recording: str | Path) -> str:
+def how_to_swap(recording: str | Path) -> str:
     """Say how to exchange left and right in a recording of this name."""
     path = Path(recording)
     suffix = path.suffix.lower()

@@ -34,7 +34,7 @@ CLEAR_RATIO = 1.5
 """Factor by which the rows of the best right image agree better than those of any other; it is
 less for a camera at rest."""
 FEWEST_MATCHES = 20
-MOST_DIFFERENT_WAYS_PX = 0.5
+MAX_FORWARD_BACKWARD_PX = 0.5
 """Largest distance between a point and where tracking to the right image and back ends."""
 FIT_ITERATIONS = 15
 
@@ -100,9 +100,9 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
     # Keep points that track there and back to the same place: a wrong match seldom does.
     found = track_points(images.left, right, left_px, start_px=left_px, config=config)
     back = track_points(right, images.left, found.pixels, start_px=found.pixels, config=config)
-    way_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
+    forward_backward_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
     is_match = np.isfinite(found.difference) & np.isfinite(back.difference)
-    is_match &= way_px < MOST_DIFFERENT_WAYS_PX
+    is_match &= forward_backward_px < MAX_FORWARD_BACKWARD_PX
     if is_match.sum() < FEWEST_MATCHES:
         return np.inf
     return _scatter(left_px[is_match], (found.pixels - left_px)[is_match, 1])

@@ -25,7 +25,8 @@ class Tracks:
     curr_px: FloatArray
     """The same points in the current frame, [N, 4], px."""
     ids: IntArray
-    """Identity of each point, [N]. A window that no longer matches its anchor patch loses it."""
+    """Identity of each point, [N]. A point whose window no longer matches its anchor patch gets a
+    new one."""
     age: IntArray
     """Number of frames, the current one included, that have seen the point in a row, [N]; at least
     2."""
