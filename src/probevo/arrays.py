@@ -32,6 +32,17 @@ def evenly(count: int, most: int) -> IntArray:
     return indices
 
 
+def rows_of(ids: IntArray, known: IntArray) -> IntArray:
+    """Return the place of each identity, [N], among different known ones, [K]; −1 where missing."""
+    if not len(known):
+        return np.full(len(ids), -1)
+    # By bisection among the sorted ones. For one that is missing this finds another one.
+    order = np.argsort(known)
+    place = np.searchsorted(known, ids, sorter=order)
+    rows: IntArray = order[np.minimum(place, len(order) - 1)]
+    return np.where(known[rows] == ids, rows, -1)
+
+
 def concatenated(parts: Sequence[StructOfArrays]) -> StructOfArrays:
     """Concatenate the arrays of at least one struct of arrays, field by field."""
     names = [field.name for field in fields(parts[0])]

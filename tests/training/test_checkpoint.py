@@ -15,6 +15,7 @@ from probevo.storage.lock import LOCK
 from probevo.training import checkpoint
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
+from probevo.training.probe.subsets import SubsetErrors
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import calibration
 from training.supervised_drives import Recording, drive_of, known, point_world, recording
@@ -35,9 +36,9 @@ WORLD = point_world(frames=4)
 DRIVE = rounded(drive_of(WORLD))
 SUPERVISION = known(WORLD)
 ITERATION: Iteration = [
-    (np.array([3, 1, 4]), np.array([0.1, 0.2, 1e-6])),
-    (np.zeros(0, np.int64), np.zeros(0)),
-    (np.array([7]), np.array([np.pi])),
+    SubsetErrors(np.array([3, 1, 4]), np.array([0.1, 0.2, 1e-6])),
+    SubsetErrors(np.zeros(0, np.int64), np.zeros(0)),
+    SubsetErrors(np.array([7]), np.array([np.pi])),
 ]
 
 
@@ -150,7 +151,7 @@ def test_an_iteration_comes_back(out: Path) -> None:
 
 def test_the_order_of_many_drives_is_kept(out: Path) -> None:
     """Eleven, so that names in the order of the alphabet would be found out."""
-    many: Iteration = [(np.array([k]), np.array([float(k + 1)])) for k in range(11)]
+    many: Iteration = [SubsetErrors(np.array([k]), np.array([float(k + 1)])) for k in range(11)]
     opened(out).keep_iteration(0, many)
     found = opened(out).iteration(0)
     assert found is not None

@@ -278,12 +278,12 @@ def _as_matched(odometry: StereoOdometry, ids: IntArray) -> FloatArray:
     correction, [N, 4], px."""
     import numpy as np
 
+    from probevo.arrays import rows_of
+
     if odometry.state is None:
         return np.zeros((0, 4))
     seen = odometry.state.observations.frames[-1]
-    order = np.argsort(seen.landmarks)
-    place = np.searchsorted(seen.landmarks, ids, sorter=order)
-    pixels: FloatArray = seen.pixels[order[place]]
+    pixels: FloatArray = seen.pixels[rows_of(ids, seen.landmarks)]
     return pixels
 
 

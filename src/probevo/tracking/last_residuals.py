@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, rows_of
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.tracking.tracks import Tracks
@@ -44,13 +44,11 @@ class LastResiduals:
 
     def of(self, ids: IntArray) -> FloatArray:
         """Return the residuals of features by identity, [N], px; NaN where unknown."""
-        if not len(self.ids):
-            return np.full(len(ids), np.nan)
-        # Position in the sorted identities; of an identity that is missing, that of another one,
-        # which the comparison below finds out.
-        order = np.argsort(self.ids)
-        nearest = order[np.minimum(np.searchsorted(self.ids, ids, sorter=order), len(order) - 1)]
-        return np.where(self.ids[nearest] == ids, self.size_px[nearest], np.nan)
+        found = np.full(len(ids), np.nan)
+        rows = rows_of(ids, self.ids)
+        is_known = rows >= 0
+        found[is_known] = self.size_px[rows[is_known]]
+        return found
 
 
 def _residual_sizes(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, rows_of
 from probevo.noise.base import StereoNoise
 from probevo.tracking.anchor_patches import AnchorPatches
 
@@ -38,14 +38,9 @@ class FrameObservations:
 
     def noise_rows(self, landmarks: IntArray) -> IntArray:
         """Return the row of each landmark in ``noise``, [K]; −1 where none was predicted."""
-        if self.noise_landmarks is None or not len(self.noise_landmarks):
+        if self.noise_landmarks is None:
             return np.full(len(landmarks), -1)
-        # Position in the sorted identities; the comparison at the end finds out those that are
-        # missing.
-        order = np.argsort(self.noise_landmarks)
-        place = np.searchsorted(self.noise_landmarks, landmarks, sorter=order)
-        rows = order[np.minimum(place, len(order) - 1)]
-        return np.where(self.noise_landmarks[rows] == landmarks, rows, -1)
+        return rows_of(landmarks, self.noise_landmarks)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from probevo import __version__
-from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.arrays import AnyArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
@@ -20,11 +20,12 @@ from probevo.storage.files import remove_stale, write_atomically
 from probevo.storage.lock import LOCK
 from probevo.storage.npz import read_npz
 from probevo.training.lease import LEASE
+from probevo.training.probe.subsets import SubsetErrors
 from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import DriveOnDisk, damage_reported
 
-Iteration = list[tuple[IntArray, FloatArray]]
-"""For each drive, the features that took part in a motion with a known error, and that error."""
+Iteration = list[SubsetErrors]
+"""The errors of the subsets of each drive."""
 
 
 PLAN = "plan.json"
@@ -132,7 +133,10 @@ class Checkpoint:
         with damage_reported(path):
             archive = read_npz(path)
             num_drives = len(archive) // 2
-            return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(num_drives)]
+            return [
+                SubsetErrors(archive[f"features_{k}"], archive[f"alphas_{k}"])
+                for k in range(num_drives)
+            ]
 
     def keep_iteration(self, number: int, iteration: Iteration) -> None:
         """Write an iteration of PROBE."""

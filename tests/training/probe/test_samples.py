@@ -14,7 +14,7 @@ from probevo.training.probe.samples import (
     folds_of_steps,
     gather_samples,
 )
-from probevo.training.probe.subsets import SubsetSampler
+from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
 from probevo.training.settings import TrainSettings
 from training.supervised_drives import drive_of, known, point_world, sampler_of
 
@@ -126,7 +126,7 @@ def test_the_features_of_a_short_drive_are_in_some_fold() -> None:
 
 
 def test_a_drive_without_samples_is_allowed() -> None:
-    nothing = (np.zeros(0, np.int64), np.zeros(0))
+    nothing = SubsetErrors(np.zeros(0, np.int64), np.zeros(0))
     samples = gather_samples(
         [[nothing, iteration[1]] for iteration in ITERATIONS], SAMPLERS, TrainSettings()
     )
@@ -134,7 +134,7 @@ def test_a_drive_without_samples_is_allowed() -> None:
 
 
 def test_no_sample_at_all_is_refused() -> None:
-    nothing = (np.zeros(0, np.int64), np.zeros(0))
+    nothing = SubsetErrors(np.zeros(0, np.int64), np.zeros(0))
     with pytest.raises(InputError) as caught:
         gather_samples([[nothing, nothing]] * 3, SAMPLERS, TrainSettings(subset=9))
     assert "training data: no step has 9 features to learn from and a true motion." in str(

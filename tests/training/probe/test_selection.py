@@ -21,7 +21,7 @@ from probevo.training.probe.selection import (
     out_of_fold,
     weighted_motions,
 )
-from probevo.training.probe.subsets import SubsetSampler
+from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
 from probevo.training.settings import TrainSettings
 from probevo.training.supervision import from_step_to_step
 from probevo_sim.point_world import PointWorld
@@ -133,7 +133,8 @@ def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
     iterations: list[Iteration] = []
     for _ in range(60):
         near = np.argsort(np.abs(sampler.coordinates[:, 1] - rng.normal()))[:500]
-        iterations.append([(np.sort(near), np.full(500, np.exp(rng.normal())))])
+        alphas = np.full(500, np.exp(rng.normal()))
+        iterations.append([SubsetErrors(np.sort(near), alphas)])
     samples = gather_samples(iterations, [sampler], TrainSettings(relative=False))
     coordinates = sampler.coordinates[samples.features, 1:]
     values = np.log(samples.alphas)

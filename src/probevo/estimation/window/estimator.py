@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray, rows_of
 from probevo.camera.image_errors import DISPARITY_SIGMA_PX
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
@@ -732,14 +732,9 @@ def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
     """Return the landmark of each identity, [N], among those that a frame was the last to see; −1
     for none."""
     alive = np.flatnonzero(window.last_seen == slot)
-    rows = np.full(len(ids), -1)
-    if not len(alive):
-        return rows
-    # Find each identity by bisection among the sorted ones.
-    alive = alive[np.argsort(window.ids[alive], kind="stable")]
-    place = np.minimum(np.searchsorted(window.ids[alive], ids), len(alive) - 1)
-    found = window.ids[alive[place]] == ids
-    rows[found] = alive[place[found]]
+    rows = rows_of(ids, window.ids[alive])
+    is_known = rows >= 0
+    rows[is_known] = alive[rows[is_known]]
     return rows
 
 

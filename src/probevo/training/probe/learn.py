@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from probevo.arrays import FloatArray, IntArray
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.registry import untrained_model
 from probevo.training.drive import joined
 from probevo.training.probe.fitting import fit_model
 from probevo.training.probe.samples import gather_samples
-from probevo.training.probe.subsets import SubsetSampler
+from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
 from probevo.training.settings import DEFAULT, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.trainer import Trainer, TrainingContext
@@ -68,7 +67,7 @@ def learn_nearest_neighbors(context: TrainingContext) -> NearestNeighbors:
     return fit_model(samples, samplers, context)
 
 
-def _iterate(task: _Task) -> tuple[IntArray, FloatArray]:
+def _iterate(task: _Task) -> SubsetErrors:
     """Do one iteration over one drive."""
     sampler = _sampler(task.number, task.drive, task.metric, task.settings)
     return sampler.iterate(task.iteration)

@@ -48,9 +48,9 @@ def gather_samples(
     first_feature = 0
     for number, sampler in enumerate(samplers):
         # All iterations over this drive, one after another.
-        sampled = np.concatenate([iteration[number][0] for iteration in iterations])
+        sampled = np.concatenate([iteration[number].features for iteration in iterations])
         # One entry for each feature of each subset, whose motion gave it its α.
-        alpha = np.concatenate([iteration[number][1] for iteration in iterations])
+        alpha = np.concatenate([iteration[number].alphas for iteration in iterations])
         step = sampler.drive.step_of_feature[sampled]
         # An error that all subsets of a stretch share says nothing about single features.
         if settings.relative and len(alpha):
@@ -63,7 +63,7 @@ def gather_samples(
         fold_by_time = folds_of_steps(sampler, number)[step]
         folds_by_time.append(fold_by_time)
         if len(sampler.supervision.stretches) == 1:
-            counts = [len(iteration[number][0]) for iteration in iterations]
+            counts = [len(iteration[number].features) for iteration in iterations]
             folds_by_error.append(np.repeat(np.arange(len(iterations)), counts) % FOLDS)
         else:
             folds_by_error.append(fold_by_time)

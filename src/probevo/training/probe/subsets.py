@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,15 @@ class Stream(IntEnum):
     DIRECTION = 0
     SUBSET = 1
     HALVES = 2
+
+
+class SubsetErrors(NamedTuple):
+    """Motions by subsets of the features of a drive, whose errors are known."""
+
+    features: IntArray
+    """The feature of each entry, [n]; there is one for each feature of each subset."""
+    alphas: FloatArray
+    """The error α of the motion by that subset, [n], m or relative."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,7 @@ class SubsetSampler:
     seed: tuple[int, ...]
     """Seed of this drive."""
 
-    def iterate(self, iteration: int) -> tuple[IntArray, FloatArray]:
+    def iterate(self, iteration: int) -> SubsetErrors:
         """Solve each step with a random subset of its features.
 
         There is one subset a step. With ``contrast``, the subsets of one stretch of the supervision
@@ -55,10 +65,6 @@ class SubsetSampler:
 
         Args:
             iteration: number of the iteration, on which the draw depends.
-
-        Returns:
-            indices of the features that took part in a motion whose error is known, [m]; the error
-            α of that motion, [m], m or relative.
         """
         drive = self.drive
         T_curr_prev = drive.T_curr_prev.copy()
@@ -94,14 +100,17 @@ class SubsetSampler:
                 features.append(rows.start + chosen)
                 steps.append(step)
         if not steps:
-            return np.zeros(0, np.int64), np.zeros(0)
+            return SubsetErrors(np.zeros(0, np.int64), np.zeros(0))
 
         # The error over a stretch counts for each feature that took part in it. α, [U], is spread
         # to the steps of each stretch, and from there to the features of each subset.
         alphas = self.supervision.errors(T_curr_prev)
         if self.divides_by_predicted:
             alphas = alphas / self.supervision.predicted_errors(T_curr_prev, cov)
-        return np.concatenate(features), np.repeat(alphas[stretch_of_step[steps]], self.subset)
+        return SubsetErrors(
+            features=np.concatenate(features),
+            alphas=np.repeat(alphas[stretch_of_step[steps]], self.subset),
+        )
 
     def _directions(self, count: int, iteration: int) -> FloatArray:
         """Draw a random direction of the prediction space for each of ``count`` stretches.
