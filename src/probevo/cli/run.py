@@ -219,6 +219,9 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
 
+    without_imu = result.unusable.get("steps_without_imu", 0)
+    if without_imu and len(result) > 1:
+        lines.append(f"IMU: not used in {without_imu} of {len(result) - 1} steps")
     if result.jitter_sigma_rad is not None and len(result) > 1:
         lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):

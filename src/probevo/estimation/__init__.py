@@ -1,2 +1,11 @@
 """Measurements → motion: RANSAC, Gauss–Newton, covariances, and the estimates that are kept over
-frames."""
+frames.
+
+A step is solved by these, from the outermost to the innermost:
+
+    SelfCalibratingEstimator.estimate  → CalibratedMotion      again for jitter or exposure delay
+    VisualEstimator.estimate           → VisualMotion          RANSAC, noise, accepted or rejected
+    TwoFrameEstimator.estimate         → TwoFrameEstimate      one solve, and the disparity filter
+    solve_reprojection                 → ReprojectionSolution  weights and covariance
+    gauss_newton.minimize              → Optimum               any measurements of any variables
+"""

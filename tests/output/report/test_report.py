@@ -280,7 +280,9 @@ def test_readable_numbers(value: float, text: str) -> None:
 def test_an_anees_that_is_no_test_says_so(
     anees: float, truth_noise: float | None, text: str
 ) -> None:
-    assert text in report._consistency_aside(anees, truth_noise)
+    figure = report._consistency_figure(anees, truth_noise)
+    assert text in str(figure.aside)
+    assert (figure.value == "no test") == (truth_noise is not None and truth_noise > 1.0)
 
 
 @pytest.mark.parametrize(

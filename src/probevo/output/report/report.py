@@ -155,8 +155,7 @@ def _key_figures(
     aside = _claim_aside(claimed_m, metrics)
     figures.append(_length_figure("Claimed 3σ", claimed_m, aside, sign="± "))
     if metrics is not None and metrics.anees is not None:
-        aside = _consistency_aside(metrics.anees, truth_noise)
-        figures.append(KeyFigure("ANEES", readable(metrics.anees), aside=aside))
+        figures.append(_consistency_figure(metrics.anees, truth_noise))
     recovered = int(np.sum(result.status == Status.RECOVERED))
     dead_reckoned = int(np.sum(result.status != Status.OK)) - recovered
     percent_ok = 100.0 * float(np.mean(result.status == Status.OK))
@@ -179,16 +178,19 @@ def _claim_aside(claimed_m: float, metrics: Metrics | None) -> str:
     return f"{about}; the end error is {readable(times)} times this"
 
 
-def _consistency_aside(anees: float, truth_noise: float | None) -> str:
-    """Say what the ANEES should be, or that the truth is too coarse to tell.
+def _consistency_figure(anees: float, truth_noise: float | None) -> KeyFigure:
+    """Show the ANEES and what it should be, or that the truth is too coarse to tell.
 
     Smoothed truth, as that of KITTI odometry, hides its noise but not its slow errors.
     """
     if truth_noise is not None and truth_noise > 1.0:
-        return f"no test: the truth’s noise is at least {readable(truth_noise)} times the claimed σ"
+        times = readable(truth_noise)
+        aside = f"{readable(anees)}; the truth’s noise is at least {times} times the claimed σ"
+        return KeyFigure("ANEES", "no test", aside=aside)
+    aside = "6 is consistent"
     if anees > IMPLAUSIBLE_ANEES:
-        return "6 is consistent; so far off, truth or calibration may be coarser than the claim"
-    return "6 is consistent"
+        aside += "; so far off, truth or calibration may be coarser than the claim"
+    return KeyFigure("ANEES", readable(anees), aside=aside)
 
 
 def _truth_figures(metrics: Metrics) -> list[KeyFigure]:
