@@ -79,6 +79,28 @@ def test_a_winding_drive_shows_the_focal_length(seed: int, ratio: float) -> None
     assert error.is_noticeable == (ratio != 1.0)
 
 
+def test_what_the_distortion_field_has_taken_up_still_shows() -> None:
+    """It looks like a wrong focal length, and the tracks are corrected by it: a step tells the same
+    with any field, to first order."""
+    rng = np.random.default_rng(4)
+    wrong = scaled(1.03)
+    raw = seen_twice(rng, 400, TURN, sigma_px=0.1)
+    moments = []
+    for size_px in (0.0, 0.1, 0.2):
+        rig = RigCalibration.initial()
+        mean = rig.image.mean.copy()
+        mean[2:] = size_px * np.random.default_rng(5).normal(size=len(mean) - 2)
+        rig = replace(rig, image=replace(rig.image, mean=mean))
+        tracks = Tracks(raw.prev_px, raw.curr_px, raw.ids, age=raw.age).corrected(rig, wrong)
+        noise = StudentT(np.inf, 0.01 * np.eye(4)).predict(np.zeros((len(tracks), 0)))
+        solution = solve_reprojection(
+            StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=wrong), guess=TURN
+        )
+        updated, _ = update_rig(rig, tracks, solution, wrong)
+        moments.append(updated.focal.moment[0, 2])
+    np.testing.assert_allclose(moments[1:], moments[0], rtol=0.1)
+
+
 def test_a_straight_drive_shows_nothing_and_says_so() -> None:
     straight = se3.exp(se3.log(FORWARD) * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
     error = learned(np.random.default_rng(0), 1.03, lambda k: straight).error()

@@ -111,9 +111,12 @@ def update_rig(
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
+    of_focal = curvature * information[_FOCAL]
+    # The field, by which the tracks were corrected, takes up most of a wrong focal length. So take
+    # the gradient at a field of zero.
     focal = rig.focal.with_step(
-        curvature * information[np.ix_(_FOCAL, _FOCAL)],
-        gradient[_FOCAL],
+        of_focal[:, _FOCAL],
+        gradient[_FOCAL] + of_focal[:, _FIELD] @ rig.image.distortion,
         np.append(rig.disparity, 0.0),
     )
     updated = replace(updated, focal=focal)
