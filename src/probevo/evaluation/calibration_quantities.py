@@ -133,7 +133,7 @@ def _focal_quantity(error: FocalLengthError) -> Quantity:
     cure = (
         f"where the camera turns, images show a focal length of {1.0 + 0.01 * error.percent:.4f} of"
         " the calibrated one. It is wrong, or lens distortion remains, which can look like up to"
-        " 3 %: the scale of a gyro decides."
+        " 4 %: the scale of a gyro decides."
     )
     z = error.log_ratio / error.sigma
     return Quantity(
