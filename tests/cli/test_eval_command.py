@@ -169,3 +169,14 @@ def test_an_unknown_format_is_refused_with_the_known_ones(
     shown = capsys.readouterr().err
     assert "kitti" in shown
     assert "None" not in shown
+
+
+def test_steps_of_another_length_than_the_true_ones_are_warned_of(
+    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(wall_run, tmp_path / "run")
+    truth = true_poses(8)
+    truth[:, :3, 3] *= 0.5
+    write_kitti_poses(tmp_path / "gt.txt", truth)
+    assert eval_exit(run, "--gt", tmp_path / "gt.txt") == 0
+    assert "times as long as the true ones" in capsys.readouterr().err

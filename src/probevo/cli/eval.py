@@ -65,11 +65,13 @@ class Trajectory:
 def main(words: list[str]) -> None:
     """Parse the arguments and compare."""
     arguments = parse(EvalArguments, words, "eval")
+    import numpy as np
+
     from probevo.evaluation.metrics import evaluate
     from probevo.evaluation.trajectory_errors import relative_motions
     from probevo.output.files import write_json
     from probevo.output.metrics_table import metrics_rows
-    from probevo.output.run_warnings import truth_warning
+    from probevo.output.run_warnings import step_length_warning, truth_warning
 
     estimate = read_run(arguments.run) if arguments.run.is_dir() else read_trajectory(arguments.run)
     truth = read_trajectory(arguments.gt, arguments.gt_format)
@@ -96,9 +98,13 @@ def main(words: list[str]) -> None:
     T_curr_prev = estimate.T_curr_prev
     if T_curr_prev is None:
         T_curr_prev = relative_motions(estimate.T_world_cam)
-    warning = truth_warning(T_curr_prev, T_world_cam_true)
-    if warning is not None:
-        print(f"probevo: warning: {warning}", file=sys.stderr)
+    are_all_ok = np.ones(len(T_curr_prev), dtype=bool)
+    for warning in (
+        truth_warning(T_curr_prev, T_world_cam_true),
+        step_length_warning(T_curr_prev, are_all_ok, T_world_cam_true),
+    ):
+        if warning is not None:
+            print(f"probevo: warning: {warning}", file=sys.stderr)
     if arguments.run.is_dir():
         write_json(arguments.run / "metrics.json", metrics.as_dict())
         print(f"written: {arguments.run / 'metrics.json'}")

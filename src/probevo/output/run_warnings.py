@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -208,12 +208,18 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     """
     if truth is None or len(result) < 2:
         return None
+    return step_length_warning(result.T_curr_prev, result.status == Status.OK, truth)
+
+
+def step_length_warning(T_curr_prev: FloatArray, is_ok: BoolArray, truth: FloatArray) -> str | None:
+    """Warn if N-1 steps, [N-1, 4, 4], of which some are OK, [N-1], are longer or shorter than the
+    true ones as a whole; else None."""
     true_m = relative_motions(truth)[:, :3, 3]
-    is_known = np.isfinite(true_m).all(axis=1) & (result.status == Status.OK)
+    is_known = np.isfinite(true_m).all(axis=1) & is_ok
     if is_known.sum() < FEWEST_FOR_SCALE:
         return None
     true_m = true_m[is_known]
-    steps_m = result.T_curr_prev[is_known, :3, 3]
+    steps_m = T_curr_prev[is_known, :3, 3]
     # Noise in what is projected on makes a projection too short: that of the steps where the truth
     # is noisy, as it is beside a camera at rest, and that of the truth where the steps are. The
     # scale is between the one and the inverse of the other.
