@@ -41,6 +41,16 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+def anonymous_mb() -> float:
+    """Return the part of the resident memory that no file backs, MiB (Linux).
+
+    The other part are pages of programs and libraries, each since it was needed first.
+    """
+    lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
+    sizes_kb = {line.split(":")[0]: line.split()[1] for line in lines[1:]}
+    return int(sizes_kb["Anonymous"]) / 2**10
+
+
 def back_and_forth(frames: list[pv.Frame]) -> Iterator[pv.Frame]:
     """Yield the frames forwards, backwards, forwards … without end; the gyro is reversed, too."""
     last = len(frames) - 1

@@ -20,12 +20,12 @@ exception of a sensor, of the noise model or of the callback, or by a damaged im
 compared with `stopped` and `faults` of the `metrics.json` that the run has written.
 
 Every hundred frames, freed memory is given back, as docs/performance.md says. Resident memory,
-before and after that, memory in use (`heap.py`), the number of small Python objects, threads and
-file handles are sampled. Slopes are fitted to the means of rounds through all versions of the
-recording, after the first ten minutes of frames, or a fifth of them if these are fewer, and are
-those of an hour of frames, with their standard error. Latencies are those of the clock, which
-depend on what else the machine does, and those of the processor time of the thread that steps.
-Linux.
+before and after that, the part of it that no file backs, memory in use (`heap.py`), the number of
+small Python objects, threads and file handles are sampled. Slopes are fitted to the means of rounds
+through all versions of the recording, after the first ten minutes of frames, or a fifth of them if
+these are fewer, and are those of an hour of frames, with their standard error. Latencies are those
+of the clock, which depend on what else the machine does, and those of the processor time of the
+thread that steps. Linux.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 from heap import heap_mb
-from memory import SOURCES, back_and_forth, resident_mb
+from memory import SOURCES, anonymous_mb, back_and_forth, resident_mb
 
 import probevo as pv
 from probevo.allocator import keep_freed_memory, release_freed_memory
@@ -250,10 +250,10 @@ class Watch:
     num_steps: int = 0
     times_ms: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS, 2), 1.0))
     """By the clock and by the processor; written to now, so that it is in memory from now on."""
-    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 7), 1.0))
-    """Step, resident memory before and after the release, and memory in use (NaN where it is not
-    known) in MB, small objects, threads, handles; rows of numbers, since the objects of a list
-    would be counted, too."""
+    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 8), 1.0))
+    """Step, resident memory before and after the release, the part of the latter that no file
+    backs, and memory in use (NaN where it is not known) in MB, small objects, threads, handles;
+    rows of numbers, since the objects of a list would be counted, too."""
 
     def is_over(self) -> bool:
         """Whether the frames or the minutes are over."""
@@ -278,6 +278,7 @@ class Watch:
                 self.num_steps,
                 gathered_mb,
                 resident_mb(),
+                anonymous_mb(),
                 np.nan if used_mb is None else used_mb,
                 sys.getallocatedblocks(),
                 threads,
@@ -288,17 +289,19 @@ class Watch:
         """Return what was found."""
         samples = self.samples[: self.num_steps // EVERY]
         late = samples[samples[:, 0] >= min(SETTLED, 0.2 * samples[-1, 0])]
-        frames, gathered_mb, memory_mb, used_mb, objects, threads, handles = late.T
+        frames, gathered_mb, memory_mb, anonymous, used_mb, objects, threads, handles = late.T
         return {
             "frames": self.num_steps,
             "minutes": (time.monotonic() - self.start_s) / 60.0,
             "slope_from_frame": int(frames[0]),
             "memory_mb_per_hour": _per_hour(frames, memory_mb, self.round_frames),
             "memory_before_release_mb_per_hour": _per_hour(frames, gathered_mb, self.round_frames),
+            "anonymous_mb_per_hour": _per_hour(frames, anonymous, self.round_frames),
             "heap_mb_per_hour": _per_hour(frames, used_mb, self.round_frames),
             "objects_per_hour": _per_hour(frames, objects, self.round_frames),
             "memory_mb": _first_most_last(memory_mb),
             "memory_mb_by_round": _means(frames, memory_mb, self.round_frames).tolist(),
+            "anonymous_mb": _first_most_last(anonymous),
             "heap_mb": _first_most_last(used_mb),
             "objects": _first_most_last(objects),
             "threads": _first_most_last(threads),
@@ -374,7 +377,6 @@ class LiveSoak:
         now_s = time.thread_time()
         is_usual = self.prev_s is not None and estimate.num_failed == 0
         step_ms = 1e3 * (now_s - self.prev_s) if is_usual and self.prev_s is not None else np.nan
-        self.prev_s = now_s
         status = estimate.motion.status.name
         self.statuses[status] += 1
         self.counted["dropped by estimates"] += estimate.num_dropped
@@ -383,6 +385,7 @@ class LiveSoak:
             self.black.discard(estimate.index)
             self.counted["black frames"] += status in BLIND
         self.watch.add(estimate.latency_ms, step_ms)
+        self.prev_s = time.thread_time()  # without what was sampled now
         with self.changed:
             self.num_delivered += 1
             self.changed.notify_all()
@@ -594,12 +597,12 @@ class RunSoak:
         """Take the motion of a frame, or fail."""
         now_s = time.thread_time()
         step_ms = np.nan if self.prev_s is None else 1e3 * (now_s - self.prev_s)
-        self.prev_s = now_s
         self.statuses.append(motion.status.name)
         # Images are decoded in another thread.
         times_ms = motion.stage_ms
         clock_ms = sum(times_ms.values()) - times_ms.get("decode", 0.0)
         self.watch.add(clock_ms if np.isfinite(step_ms) else np.nan, step_ms)
+        self.prev_s = time.thread_time()  # without what was sampled now
         if self.watch.is_over():
             raise TimeIsUpError
         if self.faults.happens("callback", STOP_SHARE):
