@@ -17,6 +17,7 @@ from probevo.measurements.base import (
 from probevo.measurements.direction import Direction, of_azimuth_and_zenith, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import LEVEL, NORTH, attitude_of_enu
+from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.travelled_distance import TravelledDistance
 
 PREV = pose_of(6)
@@ -32,6 +33,8 @@ def random_measurements(rng: np.random.Generator) -> list[VectorMeasurement]:
         Heading(POSE, rng.uniform(-3.0, 3.0), 0.1, north=NORTH),
         TravelledDistance(1.2, 0.1, POSE, axis=axis),
         TravelledDistance(1.2, 0.1, POSE, PREV, axis=axis),
+        RelativePose(se3.exp(rng.normal(size=6)), np.eye(6), POSE),
+        RelativePose(se3.exp(rng.normal(size=6)), np.eye(6), POSE, PREV),
     ]
 
 

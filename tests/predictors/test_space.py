@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from predictors.steps import COUNT, IMAGE, IMU, STEP, own, ramp
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.predictors import (
     PREDICTORS,
@@ -228,3 +229,11 @@ def test_the_time_between_the_frames() -> None:
     for previous, current in pairwise(frames):
         step = replace(STEP, prev_frame=previous, curr_frame=current)
         assert step.duration_s == pytest.approx(1e-9)
+
+
+@pytest.mark.parametrize("values", [np.zeros((2, COUNT)), np.zeros(COUNT), np.zeros((COUNT, 3))])
+def test_an_array_of_another_shape_is_refused(values: FloatArray) -> None:
+    """Transposed, it would have as many numbers, in the wrong places."""
+    pair = own("pair", lambda step: values, "a", "b")
+    with pytest.raises(InputError, match=rf"predictor pair: [\s\S]*Return \[{COUNT}, 2\]"):
+        PredictionSpace((pair,))(STEP)

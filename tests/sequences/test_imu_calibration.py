@@ -69,3 +69,8 @@ def test_a_time_offset_is_finite(value: Any) -> None:
 def test_a_transform_that_is_not_rigid_is_refused(T_cam_imu: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^T_cam_imu: (.|\n)*{message}"):
         ImuCalibration(**(GIVEN | {"T_cam_imu": T_cam_imu}))
+
+
+def test_a_transform_of_lists_becomes_an_array() -> None:
+    calibration = ImuCalibration(**(GIVEN | {"T_cam_imu": T_CAM_IMU.tolist()}))
+    np.testing.assert_array_equal(calibration.C_cam_imu, T_CAM_IMU[:3, :3])

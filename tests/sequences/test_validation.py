@@ -77,7 +77,7 @@ IMU_CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "rates complex": ({"gyro_rad_s": samples().gyro_rad_s * 1j}, "IMU gyro_rad_s are of type comp"),
     "rates of words": ({"gyro_rad_s": [["a"] * 3] * 11}, "IMU gyro_rad_s are of type <U1"),
-    "rates ragged": ({"gyro_rad_s": [[1.0], [1.0, 2.0]]}, "IMU gyro_rad_s are no array"),
+    "rates ragged": ({"gyro_rad_s": [[1.0], [1.0, 2.0]]}, "IMU gyro_rad_s are not an array"),
 }
 
 
@@ -99,6 +99,13 @@ def test_unsigned_stamps_of_the_imu_are_compared_as_signed_ones() -> None:
 FRAME_CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "index float": ({"index": 1.0}, r"its index is 1\.0"),
     "index of the frame before": ({"index": 0}, "its index, 0, is not after that of the frame"),
+    "index beyond 64 bits": ({"index": 2**70}, "its index is too large"),
+    "image of lists": ({"left": [[0, 1], [2, 3]]}, "its left image is .*0, 1"),
+    "image by its name": ({"left": "left/0.png"}, "its left image is 'left/0.png'"),
+    "identity without an array": (
+        {"features": StereoFeatures(np.array(1), np.ones((1, 4)))},
+        r"its feature ids have shape \(\)",
+    ),
     "index None": ({"index": None}, "its index is None"),
     "stamp 2⁶³": ({"stamp_ns": 2**63}, "its stamp, 9223372036854775808 ns, does not fit"),
     "stamp −2⁶⁴": ({"stamp_ns": -(2**64)}, "does not fit in 64 bits"),

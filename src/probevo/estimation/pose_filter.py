@@ -181,9 +181,11 @@ class PoseFilter:
         prior_cov = self.joint_cov
         prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
-        prior: VectorMeasurement = PosePrior(pose, T_cam_world, prior_cov)
+        prior: VectorMeasurement
         if self.further:
             prior = _JointPrior(pose, T_cam_world, self.further, prior_cov)
+        else:
+            prior = PosePrior(pose, T_cam_world, prior_cov)
         # Solve, from several headings if it is unknown, and take the least cost.
         free = prior.variables
         found = [

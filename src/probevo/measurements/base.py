@@ -143,17 +143,26 @@ class VectorMeasurement(ABC):
 
     Args:
         covariance: of the residual, [d, d] (the scale matrix of a Student-t).
+        dim: d, where a subclass knows it.
         dof: degrees of freedom ν of the Student-t; np.inf is Gaussian.
         gate: squared Mahalanobis distance beyond which it does not contribute; np.inf keeps all.
 
     Raises:
-        InputError: the covariance is not symmetric positive definite.
+        InputError: the covariance is not symmetric positive definite, or not [d, d].
     """
 
     def __init__(
-        self, covariance: FloatArray, *, dof: float = np.inf, gate: float = np.inf
+        self,
+        covariance: FloatArray,
+        *,
+        dim: int | None = None,
+        dof: float = np.inf,
+        gate: float = np.inf,
     ) -> None:
         covariance = np.asarray(covariance, dtype=np.float64)
+        if dim is not None and covariance.shape != (dim, dim):
+            what = f"its covariance has shape {covariance.shape}."
+            raise InputError(type(self).__name__, what, f"It is [{dim}, {dim}].")
         square = covariance.ndim == 2 and covariance.shape[0] == covariance.shape[1]
         if not square or not np.isfinite(covariance).all():
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
@@ -292,6 +301,18 @@ def bounded_weight(squared: float, threshold: float) -> float:
     if squared <= threshold:
         return 1.0
     return (threshold / squared) ** 2
+
+
+def as_transform(T: FloatArray, where: str) -> FloatArray:
+    """Return a transform as an array of floats, [4, 4]; NaN is what a sensor without a fix gives.
+
+    Raises:
+        InputError: it has another shape.
+    """
+    matrix = np.asarray(T, dtype=np.float64)
+    if matrix.shape != (4, 4):
+        raise InputError(where, f"it has shape {matrix.shape}.", "Give a transform, [4, 4].")
+    return matrix
 
 
 def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.measurements.relative_pose import RelativePose
@@ -63,4 +65,6 @@ def read_correction(
     if not isinstance(answer, RelativePose):
         what = f"it returned {type(answer).__name__}."
         raise InputError(f"sensor {name}", what, "It returns RelativePose, or NoMeasurement.")
+    if not np.isfinite(answer.T_curr_prev).all():
+        return Reading(name, reason="not a finite value")
     return Reading(name, (answer,), corrects=True)

@@ -16,6 +16,9 @@ LARGEST_ANGLE_RAD = 3.0
 """Angle at which the derivative across the residual is capped; at π it is infinite."""
 LEAST_SINE = 1e-12
 """Sine of an angle below which two directions are the same, or opposite."""
+LEAST_SINE_OF_ZENITH = 1e-3
+"""Sine of a zenith angle below which a direction counts as straight up or down: of an azimuth
+there, any error becomes a thousandth of it."""
 
 
 class Direction(VectorMeasurement):
@@ -25,7 +28,7 @@ class Direction(VectorMeasurement):
     the tangent plane of the sphere at p. Its axes B are the directions of azimuth and zenith angle,
     az = atan2(x, z) and zen = acos(−y). Unlike the angles, it does not wrap. The plane is tangent
     at p and not at u: the noise of u would rotate the axes, and with them the Jacobians, and a
-    constant offset of the sensor, if it is estimated, would drift away within some hundred
+    constant offset of the sensor, if it is estimated, would drift away within a few hundred
     measurements.
 
     Args:
@@ -50,10 +53,7 @@ class Direction(VectorMeasurement):
         *,
         north: Variable | None = None,
     ) -> None:
-        super().__init__(covariance)
-        if self.covariance.shape != (2, 2):
-            what = f"its covariance is {self.covariance.shape}."
-            raise InputError("Direction", what, "It is [2, 2], of azimuth and zenith.")
+        super().__init__(covariance, dim=2)
         self.pose = pose
         self.in_camera = _unit(in_camera, "in_camera")
         self.known = _unit(known, "known")
@@ -78,10 +78,16 @@ class Direction(VectorMeasurement):
             north: as of the constructor.
 
         Raises:
-            InputError: the zenith itself is measured, where an azimuth has no meaning.
+            InputError: the direction is straight up or down, where an azimuth has no meaning, or
+                the zenith angle is not from 0 to π.
         """
         azimuth, zenith = angles_rad
-        shrunk = np.diag([math.sin(zenith), 1.0])
+        sine = math.sin(zenith) if 0.0 <= zenith <= math.pi else math.nan
+        if not sine > LEAST_SINE_OF_ZENITH:
+            what = f"a zenith angle of {zenith} rad has no azimuth, or is none."
+            cure = "It is from 0, upwards, to π. Give a direction straight up or down as a vector."
+            raise InputError("Direction: angles_rad", what, cure)
+        shrunk = np.diag([sine, 1.0])
         return Direction(
             pose,
             of_azimuth_and_zenith(azimuth, zenith),

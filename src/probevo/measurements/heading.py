@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.measurements.base import Values, Variable, VectorMeasurement
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
@@ -35,9 +36,11 @@ class Heading(VectorMeasurement):
         *,
         north: Variable | None = None,
     ) -> None:
+        if not sigma_rad > 0.0:
+            raise InputError("Heading: sigma_rad", f"is {sigma_rad}.", "It must be positive.")
         super().__init__(np.array([[sigma_rad**2]]))
         self.pose = pose
-        self.heading_rad = heading_rad
+        self.heading_rad = float(heading_rad)
         self.north = north
 
     @property
@@ -49,6 +52,8 @@ class Heading(VectorMeasurement):
         """Return measured minus predicted heading, from −π to π, [1]."""
         east, north, _ = self._ahead_in_enu(values).tolist()
         difference = self.heading_rad - math.atan2(east, north)
+        if not math.isfinite(difference):  # a receiver without a fix
+            return np.array([math.nan])
         return np.array([math.remainder(difference, 2.0 * math.pi)])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:

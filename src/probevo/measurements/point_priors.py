@@ -10,6 +10,9 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, invert_positive_definite, invert_symmetric_4
 
+UNKNOWN_PX2 = 1e6
+"""Variance of a point of which nothing is known."""
+
 
 class JitterPrior(NamedTuple):
     """A Gaussian over the rig's jitter ω in the previous frame: ω = mean + L η, η ~ N(0, I)."""
@@ -128,9 +131,9 @@ def observation_to_point(
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
     R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the
-    rows plainly, as g does, and S is 0. A singular R counts as the one before. Fills point [N, 3]
-    from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px²;
-    returns K, [N, 3, 4].
+    rows plainly, as g does, and S is 0. A singular R counts as the one before; the first one, as
+    one of which nothing is known. Fills point [N, 3] from observed [N, 4], px, and that part of
+    point_cov [N, 4, 4] from scale [N, 4, 4], px²; returns K, [N, 3, 4].
     """
     gain = np.empty((len(observed), 3, 4))
     inverse = np.empty((4, 4))
@@ -139,6 +142,8 @@ def observation_to_point(
     normal = np.empty((3, 3))
     lower_3 = np.zeros((3, 3))
     S = np.zeros((3, 3))
+    for i in range(3 if propagate else 0):
+        S[i, i] = UNKNOWN_PX2
     # The plain average of g: u = u_l, v = ½ (v_l + v_r), d = u_l − u_r.
     K = np.zeros((3, 4))
     K[0, 0] = K[2, 0] = 1.0

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from probevo.arrays import FloatArray
-from probevo.geometry import se3, so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
-
-SERIES_BELOW = 0.05
-"""Length of ξ up to which the next term of the series, a⁴/720, is below 1e-8."""
+from probevo.geometry import se3
+from probevo.measurements.base import Values, Variable, VectorMeasurement, as_transform
 
 
 class PosePrior(VectorMeasurement):
@@ -19,12 +14,15 @@ class PosePrior(VectorMeasurement):
         pose: the variable.
         T_cam_world: its mean, [4, 4].
         covariance: of the left perturbation ξ, [6, 6], m and rad.
+
+    Raises:
+        InputError: the covariance is not [6, 6] and positive definite, or the mean not [4, 4].
     """
 
     def __init__(self, pose: Variable, T_cam_world: FloatArray, covariance: FloatArray) -> None:
-        super().__init__(covariance)
+        super().__init__(covariance, dim=6)
         self.pose = pose
-        self.T_cam_world = T_cam_world
+        self.T_cam_world = as_transform(T_cam_world, "PosePrior: T_cam_world")
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -36,15 +34,5 @@ class PosePrior(VectorMeasurement):
         return -se3.log(values[self.pose] @ se3.inverse(self.T_cam_world))
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return −J(x)⁻¹, [6, 6], of x = Log(T T_prior⁻¹).
-
-        Near the prior it is the series 1 − a/2 + a²/12, a = ad(x), which is ten times as fast.
-        """
-        x = -self.residual(values)
-        if x @ x > SERIES_BELOW**2:
-            return (-np.asarray(np.linalg.inv(se3.left_jacobian(x))),)
-        adjoint = np.zeros((6, 6))
-        adjoint[:3, :3] = so3.wedge(x[3:])
-        adjoint[3:, 3:] = adjoint[:3, :3]
-        adjoint[:3, 3:] = so3.wedge(x[:3])
-        return (0.5 * adjoint - adjoint @ adjoint / 12.0 - np.eye(6),)
+        """Return −J(x)⁻¹, [6, 6], of x = Log(T T_prior⁻¹)."""
+        return (-se3.inverse_left_jacobian(-self.residual(values)),)

@@ -14,12 +14,21 @@ class RelativeMeasurement(VectorMeasurement):
         covariance: of its residual, [d, d].
         curr: pose of the current frame.
         prev: pose of the previous frame; None if the world of the poses is the previous camera.
+        dim: d, where a subclass knows it.
+
+    Raises:
+        InputError: the covariance is not symmetric positive definite, or not [d, d].
     """
 
     def __init__(
-        self, covariance: FloatArray, curr: Variable, prev: Variable | None = None
+        self,
+        covariance: FloatArray,
+        curr: Variable,
+        prev: Variable | None = None,
+        *,
+        dim: int | None = None,
     ) -> None:
-        super().__init__(covariance)
+        super().__init__(covariance, dim=dim)
         self.curr = curr
         self.prev = prev
 

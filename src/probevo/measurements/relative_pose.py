@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable
+from probevo.measurements.base import Values, Variable, as_transform
 from probevo.measurements.relative import RelativeMeasurement
 
 
@@ -16,6 +16,9 @@ class RelativePose(RelativeMeasurement):
         covariance: of its left perturbation ξ, [6, 6], m and rad.
         curr: pose of the current frame.
         prev: pose of the previous frame; None if the world of the poses is the previous camera.
+
+    Raises:
+        InputError: the covariance is not [6, 6] and positive definite, or the motion not [4, 4].
     """
 
     def __init__(
@@ -25,9 +28,17 @@ class RelativePose(RelativeMeasurement):
         curr: Variable,
         prev: Variable | None = None,
     ) -> None:
-        super().__init__(covariance, curr, prev)
-        self.T_curr_prev = T_curr_prev
+        super().__init__(covariance, curr, prev, dim=6)
+        self.T_curr_prev = as_transform(T_curr_prev, "RelativePose: T_curr_prev")
 
     def residual(self, values: Values) -> FloatArray:
         """Return −Log(T_curr_prev T_measured⁻¹), [6]."""
         return -se3.log(self.motion(values) @ se3.inverse(self.T_curr_prev))
+
+    def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
+        """Return ∂e/∂ξ of each pose, [6, 6]: −J(x)⁻¹ of the current one, x = −e."""
+        of_curr = -se3.inverse_left_jacobian(-self.residual(values))
+        if self.prev is None:
+            return (of_curr,)
+        # ξ_prev acts on the motion as −Ad(T_curr_prev) ξ_prev.
+        return (-of_curr @ se3.adjoint(self.motion(values)), of_curr)

@@ -10,28 +10,32 @@ from probevo.measurements.base import Values, Variable
 from probevo.measurements.relative import RelativeMeasurement
 
 LEAST_SIGMA_RAD = 1e-6
-"""Standard deviation that is added to every rotation, so that a gyro with zero noise is
-invertible."""
+"""Its square is added to every variance, so that the covariance of a gyro without noise can be
+inverted."""
 
 
 class RelativeRotation(RelativeMeasurement):
-    """A measured C_curr_prev: φ = Log(C_curr_prev C_measuredᵀ) ~ N(0, cov).
+    """A measured C_curr_prev: φ = Log(C_curr_prev C_measuredᵀ) ~ N(0, covariance).
 
     Args:
         C_curr_prev: p_curr = C_curr_prev p_prev, [3, 3].
-        cov: covariance of its left perturbation φ, [3, 3], rad².
+        covariance: of its left perturbation φ, [3, 3], rad².
         curr: pose of the current frame.
         prev: pose of the previous frame; None if the world of the poses is the previous camera.
+
+    Raises:
+        InputError: the covariance is not [3, 3] and positive definite.
     """
 
     def __init__(
         self,
         C_curr_prev: FloatArray,
-        cov: FloatArray,
+        covariance: FloatArray,
         curr: Variable,
         prev: Variable | None = None,
     ) -> None:
-        super().__init__(cov + LEAST_SIGMA_RAD**2 * np.eye(3), curr, prev)
+        enlarged = covariance + LEAST_SIGMA_RAD**2 * np.eye(len(covariance))
+        super().__init__(enlarged, curr, prev, dim=3)
         self.C_curr_prev = C_curr_prev
 
     def residual(self, values: Values) -> FloatArray:

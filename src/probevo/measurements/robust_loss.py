@@ -31,7 +31,7 @@ class RobustLoss:
     efficiency in one dimension.
 
     Raises:
-        InputError: the parameter is missing or not positive.
+        InputError: the parameter is missing, not positive, or not finite.
     """
 
     kind: LossKind
@@ -43,11 +43,11 @@ class RobustLoss:
         """Refuse a loss under which every residual would have zero weight."""
         if self.kind is LossKind.L2 or (self.kind is LossKind.STUDENT_T and self.parameter is None):
             return
-        if self.parameter is None or not self.parameter > 0.0:
+        if self.parameter is None or not 0.0 < self.parameter < np.inf:
             raise InputError(
                 f"loss {self.kind.name.lower()}",
                 f"its parameter is {self.parameter}.",
-                "It is positive.",
+                "It is positive and finite; without a bound, take RobustLoss.l2().",
             )
 
     @staticmethod

@@ -67,10 +67,12 @@ class Reading:
 def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:
     """Call a sensor for a frame, and check its answer.
 
+    Measurements whose residual is not finite are left out; if none is left, the reading says so.
+
     Raises:
         InputError: the answer is neither a list of measurements nor a reason, or a measurement is
-            not one of the current pose, or one of the motion from an unknown pose. Exceptions of
-            the sensor itself are passed on.
+            not one of the current pose, or one of the motion from an unknown pose, or depends on
+            anything else. Exceptions of the sensor itself are passed on.
     """
     answer = sensor(prev_frame, frame)
     if isinstance(answer, NoMeasurement):
@@ -92,23 +94,19 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
 def _is_finite(measurement: Measurement) -> bool:
     """Return whether a measurement has a value: NaN is what a receiver gives before its first
     fix."""
-    is_of_poses = all(one == NORTH or one.kind == pose_of(0).kind for one in measurement.variables)
-    if not isinstance(measurement, VectorMeasurement) or not is_of_poses:
+    if not isinstance(measurement, VectorMeasurement):
         return True
     # Any poses will do, if no motion between them is special.
     values: Values = {
         variable: np.full(3, 0.1) if variable == NORTH else se3.exp(0.1 * k * np.arange(1.0, 7.0))
         for k, variable in enumerate(measurement.variables, start=1)
     }
-    try:
-        return bool(np.isfinite(measurement.residual(values)).all())
-    except (ValueError, OverflowError):
-        return False
+    return bool(np.isfinite(measurement.residual(values)).all())
 
 
 def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame: Frame) -> None:
-    """Refuse a measurement of other poses than those of the current and the previous frame, or of
-    the previous one alone.
+    """Refuse a measurement of other poses than those of the current and the previous frame, of the
+    previous one alone, or of anything else but north.
 
     Raises:
         InputError: it is such a measurement.
@@ -120,6 +118,10 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
         what = f"at frame {frame.index} it measured the pose of frame {frames}."
         cure = "Measure that of the current frame, alone or together with that of the previous one."
         raise InputError(where, what, cure)
+    others = [one for one in measurement.variables if one != NORTH and one not in poses]
+    if others:
+        what = f"at frame {frame.index} it measured {others[0]}."
+        raise InputError(where, what, "Measure poses of the camera, and north.")
     if isinstance(measurement, RelativeMeasurement) and measurement.prev is None:
         what = f"at frame {frame.index} it measured a motion, and did not say from which pose."
         raise InputError(where, what, "Give it: prev=pose_of(prev_frame.index).")

@@ -26,7 +26,7 @@ def sun_in_enu(stamp_ns: int, latitude_deg: float, longitude_deg: float) -> Floa
         InputError: the place is not on Earth, or PyEphem, the extra ``sun``, is not installed.
     """
     if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 360.0):
-        what = f"latitude {latitude_deg} and longitude {longitude_deg} are no place on Earth."
+        what = f"latitude {latitude_deg} and longitude {longitude_deg} are not a place on Earth."
         raise InputError("sun_in_enu", what, "Give degrees north and degrees east.")
     try:
         import ephem

@@ -40,6 +40,9 @@ class TravelledDistance(RelativeMeasurement):
         *,
         axis: FloatArray = AHEAD,
     ) -> None:
+        if not sigma_m > 0.0:
+            where = "TravelledDistance: sigma_m"
+            raise InputError(where, f"is {sigma_m}.", "It must be positive.")
         super().__init__(np.array([[sigma_m**2]]), curr, prev)
         self.distance_m = distance_m
         self.axis = np.asarray(axis, np.float64)

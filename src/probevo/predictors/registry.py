@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 
-from probevo.errors import InputError
+from probevo.errors import LOAD_ERRORS, InputError
 from probevo.predictors.acceleration import ACCELERATION
 from probevo.predictors.age import AGE
 from probevo.predictors.alignment import ALIGNMENT
@@ -68,13 +68,19 @@ def all_predictors() -> Mapping[str, Predictor]:
     """Collect the built-in predictors and those of installed entry points, by their names.
 
     Raises:
-        InputError: an entry point yields no predictor, or one whose name or column is taken.
+        InputError: an entry point cannot be loaded, or yields no predictor, or one whose name or
+            column is taken.
     """
     found = dict(PREDICTORS)
     columns = {column for predictor in PREDICTORS.values() for column in predictor.columns}
     for entry in entry_points(group=ENTRY_POINTS):
-        predictor = entry.load()
         where = f"entry point {entry.value} of {ENTRY_POINTS}"
+        try:
+            predictor = entry.load()
+        except LOAD_ERRORS as error:
+            what = f"it cannot be loaded ({type(error).__name__}: {error})."
+            cure = "Update or uninstall the package that provides it."
+            raise InputError(where, what, cure) from error
         if not isinstance(predictor, Predictor):
             raise InputError(where, f"it is a {type(predictor).__name__}.", "Name a Predictor.")
         if predictor.name in found or not columns.isdisjoint(predictor.columns):

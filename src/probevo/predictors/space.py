@@ -62,15 +62,14 @@ class PredictionSpace:
         """Compute φ for the N features of a step, [N, M]; NaN where a predictor is undefined.
 
         Raises:
-            InputError: the frames lack what a predictor needs.
+            InputError: the frames lack what a predictor needs, or a predictor gives an array of
+                another shape.
         """
         self._check_step(step)
         count = len(step.tracks)
-        # Without any predictor φ is [N, 0]; a predictor with one column may give [N].
+        # Without any predictor φ is [N, 0].
         parts = [np.zeros((count, 0))]
-        for predictor in self.predictors:
-            values = predictor.compute(step)
-            parts.append(values.reshape(count, len(predictor.columns)))
+        parts += [_columns_of(predictor, step) for predictor in self.predictors]
         return np.concatenate(parts, axis=1)
 
     def check_recording(self, sequence: Sequence) -> None:
@@ -112,3 +111,20 @@ class PredictionSpace:
                         f"it has no {thing}, which the predictor {predictor.name} needs.",
                         "Train a model without it: name others with `train --predictors`.",
                     )
+
+
+def _columns_of(predictor: Predictor, step: Step) -> FloatArray:
+    """Return what a predictor makes of the N features of a step, [N, C].
+
+    Raises:
+        InputError: it gives an array of another shape.
+    """
+    values = np.asarray(predictor.compute(step), np.float64)
+    count = len(step.tracks)
+    num_columns = len(predictor.columns)
+    if values.shape == (count,) and num_columns == 1:
+        return values[:, None]
+    if values.shape != (count, num_columns):
+        what = f"it gives an array of shape {values.shape} for {count} features."
+        raise InputError(f"predictor {predictor.name}", what, f"Return [{count}, {num_columns}].")
+    return values

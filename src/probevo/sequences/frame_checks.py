@@ -33,8 +33,9 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     if not -INT64_LIMIT <= frame.stamp_ns < INT64_LIMIT:
         what = f"its stamp, {brief(int(frame.stamp_ns))} ns, does not fit in 64 bits."
         raise InputError(where, what, "Stamps are nanoseconds, mostly since 1970.")
-    if frame.index < 0:
-        raise InputError(where, "its index is negative.", "Count from 0.")
+    if not 0 <= frame.index < INT64_LIMIT:
+        what = f"its index is {'negative' if frame.index < 0 else 'too large'}."
+        raise InputError(where, what, "Count from 0.")
     _check_images(frame, camera, where)
     if frame.features is not None:
         _check_features(frame.features, where)
@@ -57,6 +58,9 @@ def _check_images(frame: Frame, camera: StereoCamera, where: str) -> None:
         )
         raise InputError(where, what, "Give both images, or features.")
     for name, image in (("left", frame.left), ("right", frame.right)):
+        if image is not None and not isinstance(image, np.ndarray):
+            what = f"its {name} image is {brief(image)}."
+            raise InputError(where, what, "Give a NumPy array, [height, width], of type uint8.")
         if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
             raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
@@ -128,8 +132,8 @@ def _check_imu_samples(imu: ImuSamples, where: str) -> None:
         )
 
 
-def check_order(prev: Frame, curr: Frame) -> float:
-    """Check that one frame can follow another, and return the time between them, s.
+def check_order(prev: Frame, curr: Frame) -> None:
+    """Check that one frame can follow another.
 
     Raises:
         InputError: the second frame is not after the first, by its index or its stamp, or is too
@@ -160,14 +164,13 @@ def check_order(prev: Frame, curr: Frame) -> float:
             what = f"its images are {now} px, not {size_text(prev_image)} px as before."
             raise InputError(where, what, "Keep to one size.")
     check_memory(prev, curr)
-    return 1e-9 * (curr.stamp_ns - prev.stamp_ns)
 
 
 def check_memory(kept: Frame, curr: Frame) -> None:
     """Check that a frame has its images in other memory than an earlier one that is still needed.
 
     Raises:
-        InputError: it has not.
+        InputError: an image shares memory with the earlier frame's.
     """
     for kept_image, image in ((kept.left, curr.left), (kept.right, curr.right)):
         if kept_image is None or image is None:

@@ -146,7 +146,7 @@ def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None 
         size_px: (width, height) that the image must have; None to accept any size up to LARGEST_PX.
 
     Raises:
-        InputError: the image is damaged, or claims another size.
+        InputError: the image is damaged, claims another size, or has colours of floats.
     """
     try:
         chunks = _checked_chunks(data)
@@ -161,6 +161,9 @@ def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None 
     if image.ndim == 3 and image.dtype in (np.uint8, np.uint16):
         code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
         return np.asarray(cv2.cvtColor(image, code))
+    if image.ndim != 2:
+        what = f"this image has {image.shape[2]} channels of type {image.dtype}."
+        raise InputError(where, what, "Give grey images, or colour images of 8 or 16 bits.")
     return image
 
 

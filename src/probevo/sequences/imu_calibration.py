@@ -67,6 +67,7 @@ class ImuCalibration:
             cure = "Give the whole transform, [4, 4]: the rotation with the IMU's position."
             raise InputError("T_cam_imu", what, cure)
         se3.check_transform(self.T_cam_imu, "T_cam_imu")
+        object.__setattr__(self, "T_cam_imu", np.asarray(self.T_cam_imu, np.float64))
         for name in DENSITIES:
             value = getattr(self, name)
             if not (_is_number(value) and 0.0 <= value <= LARGEST_NOISE):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from probevo.errors import InputError, brief
+from probevo.errors import LOAD_ERRORS, InputError, brief
 from probevo.sequences.format_options import (
     VIDEO_SUFFIXES,
     EurocOptions,
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 ENTRY_POINTS = "probevo.formats"
 """Group of the entry points by which other packages add formats."""
-LOAD_ERRORS = (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError)
-"""What loading the module of a broken entry point raises."""
 MOST_NAMES = 8
 """Entries of an unrecognised folder that its message lists."""
 
@@ -441,10 +439,10 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
             if known.file_suffixes
         ]
         cure = f"Give a folder, or {', or '.join(kinds)}."
-        raise InputError(path, "this file is no recording.", cure)
+        raise InputError(path, "this file is not a recording.", cure)
     below = recordings_below(path, formats.values())
     if below:
-        raise InputError(path, "this folder is no recording.", suggestion(below))
+        raise InputError(path, "this folder is not a recording.", suggestion(below))
     above = recordings_above(path, formats.values())
     if above:
         raise InputError(path, "this folder is part of a recording.", suggestion(above))

@@ -160,12 +160,14 @@ def _numbers(values: object, where: str, name: str) -> FloatArray:
 
 
 def _whole_numbers(values: object, where: str, name: str) -> AnyArray:
-    """Return an array as int64.
+    """Return an array as int64, [N].
 
     Raises:
-        InputError: it holds no whole numbers, or one that does not fit.
+        InputError: it holds no whole numbers, one that does not fit, or has another shape.
     """
     array = _array_of(values, "iu", where, name)
+    if array.ndim != 1:
+        raise InputError(where, f"its {name} have shape {array.shape}.", "Give them as [N].")
     if array.dtype.kind == "u" and int(array.max(initial=0)) >= INT64_LIMIT:
         raise InputError(where, f"of its {name}, one does not fit in 64 bits.", "Use int64.")
     return np.asarray(array, dtype=np.int64)
@@ -181,7 +183,9 @@ def _array_of(values: object, kinds: str, where: str, name: str) -> AnyArray:
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise InputError(where, f"its {name} are no array ({error}).", f"Give {needed}.") from None
+        raise InputError(
+            where, f"its {name} are not an array ({error}).", f"Give {needed}."
+        ) from None
     if array.dtype.kind not in kinds and (array.size > 0 or array.dtype.kind == "O"):
         found = "missing" if values is None else f"of type {array.dtype}"
         raise InputError(where, f"its {name} are {found}.", f"Give {needed}.")

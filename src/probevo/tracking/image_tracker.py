@@ -288,12 +288,14 @@ class ImageTracker:
             tracked = self._with_row_search(images, left_px, tracked)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
+        is_lost = ~np.isfinite(tracked.difference)
         is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
         # Where the true place is out of reach, Lucas–Kanade ends anywhere. Only a window that looks
         # alike there says that the point is seen farther to the right.
         is_match_behind = is_negative & (tracked.difference <= ALIKE_BEHIND)
-        rejected["rows differ"] += int((~same_row).sum())
+        rejected["rows differ"] += int((~same_row & ~is_lost).sum())
         rejected["negative disparity"] += int(is_match_behind.sum())
+        rejected["no stereo match"] += int((~same_row & is_lost).sum())
         rejected["no stereo match"] += int((is_negative & ~is_match_behind).sum())
         rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
         consistent = same_row & has_disparity

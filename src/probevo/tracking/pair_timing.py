@@ -82,6 +82,8 @@ class PairTiming:
         best = _clearly_best(scatters)
         if best is not None:
             self._votes.append(best)
+        if self.is_decided:
+            self._last.clear()  # these images are not needed any more
 
 
 def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) -> float:

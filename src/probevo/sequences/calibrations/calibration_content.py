@@ -63,7 +63,7 @@ class CalibrationContent:
         """
         values = self.value(key)
         if not isinstance(values, dict):
-            raise InputError(self.where(key), "is no section of `key: value` lines.")
+            raise InputError(self.where(key), "is not a section of `key: value` lines.")
         return CalibrationContent(values, self.path, key)
 
     def text(self, key: str) -> str:
@@ -100,7 +100,7 @@ class CalibrationContent:
         try:
             numbers = np.array(value, dtype=float).ravel()
         except (TypeError, ValueError, OverflowError):
-            raise InputError(self.where(key), "is no list of numbers.") from None
+            raise InputError(self.where(key), "is not a list of numbers.") from None
         if not np.isfinite(numbers).all():
             raise InputError(self.where(key), "has a number that is not finite.")
         return numbers
@@ -153,7 +153,7 @@ def load_calibration(path: Path) -> CalibrationContent:
         return CalibrationContent(_read_xml(path), path)
     content = load_yaml(path, _CURE, loader=_OpenCVLoader)
     if not isinstance(content, dict):
-        raise InputError(path, "this is no calibration: it has no `key: value` lines.")
+        raise InputError(path, "this is not a calibration: it has no `key: value` lines.")
     return CalibrationContent(content, path)
 
 
@@ -183,7 +183,7 @@ def _read_xml(path: Path) -> dict[str, Any]:
         nodes = {key: root.getNode(key) for key in root.keys()}  # noqa: SIM118 (no dict)
         return {key: _node_value(node) for key, node in nodes.items()}
     except (cv2.error, SystemError) as error:
-        raise InputError(path, "this is no XML file as OpenCV writes them.") from error
+        raise InputError(path, "this is not an XML file as OpenCV writes them.") from error
 
 
 def _node_value(node: Any) -> Any:

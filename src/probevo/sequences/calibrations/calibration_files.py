@@ -74,7 +74,7 @@ def read_stereo_calibration(
         what = "this is one camera of VINS-Fusion, not a stereo pair."
         raise InputError(path, what, "Give the settings file that names it in cam0_calib.")
     if reader is None:
-        what = f"this is no calibration of a stereo pair; its keys are {content.keys_text}."
+        what = f"this is not the calibration of a stereo pair; its keys are {content.keys_text}."
         raise InputError(path, what, f"Known are {', '.join(known.name for known in READERS)}.")
     # A file that does not give the size is taken for the images as they are, but not as they were.
     calibration = reader.read(content, None if resized else size_px)

@@ -41,7 +41,7 @@ class StereoCalibration:
         """Return the calibration for images that were scaled to another size.
 
         Raises:
-            InputError: the scaled images have another shape.
+            InputError: the scaled images have a different aspect ratio.
         """
         return replace(
             self,

@@ -146,7 +146,7 @@ def _pairs(
     left_ns = stamps_of_names(left)
     right_ns = stamps_of_names(right)
     if left_ns is None or right_ns is None:
-        what = "the names of its images are no stamps in ns."
+        what = "the names of its images are not stamps in ns."
         raise InputError(folder, what, "Expected cam0/1585157782199447626.png and so on.")
     pairs = pair_stamps(left_ns, right_ns, 0)
     if 2 * len(pairs) < max(len(left), len(right)):

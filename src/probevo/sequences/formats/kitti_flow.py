@@ -186,6 +186,6 @@ def _read_16_bits(path: Path, channels: int) -> AnyArray:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     found = 0 if image is None else 1 if image.ndim == 2 else image.shape[2]
     if image is None or image.dtype != np.uint16 or found != channels:
-        what = f"this is no PNG of 16 bits with {channels} channels."
+        what = f"this is not a PNG of 16 bits with {channels} channels."
         raise InputError(path, what, "Copy the file anew.")
     return np.asarray(image)

@@ -135,7 +135,7 @@ class _Video:
         self.path = path
         self._capture = cv2.VideoCapture(str(path))
         if not self._capture.isOpened():
-            what = "this is no video that OpenCV can read."
+            what = "OpenCV cannot read this as a video."
             raise InputError(path, what, "Convert it, as to H.264 in .mp4, or to images.")
         width, height = self.size_px
         if not 0 < width * height <= LARGEST_PX:

@@ -82,7 +82,7 @@ def _read_table(path: Path, columns: int, count: int) -> FloatArray:
     """
     header, *lines = read_lines(path, CURE)
     if not header[1].startswith("frame cameraID"):
-        raise InputError(header[0], "this is no header of Virtual KITTI 2.", "frame cameraID …")
+        raise InputError(header[0], "this is not a header of Virtual KITTI 2.", "frame cameraID …")
     table = np.full((2, count, columns), np.nan)
     for where, line in lines:
         numbers = parse_floats(line.split(), where)

@@ -1,0 +1,113 @@
+"""What a sensor gets wrong is refused by name where it is made, and not deep in a solve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.measurements.base import Variable, VectorMeasurement, pose_of
+from probevo.measurements.correction import MotionCorrection, read_correction
+from probevo.measurements.direction import Direction
+from probevo.measurements.heading import Heading
+from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.sensor import read_sensor
+from probevo.measurements.travelled_distance import TravelledDistance
+from probevo.sequences.frame import Frame
+
+PREV = Frame(index=0, stamp_ns=0)
+CURR = Frame(index=1, stamp_ns=100_000_000)
+POSE = pose_of(1)
+MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
+    "the nadir has no azimuth": (
+        lambda: Direction.of_angles(POSE, (0.0, math.pi), np.array([0.0, 1.0, 0.0]), np.eye(2)),
+        "has no azimuth",
+    ),
+    "a zenith angle beyond half a turn": (
+        lambda: Direction.of_angles(POSE, (0.0, 4.0), np.array([0.0, 1.0, 0.0]), np.eye(2)),
+        "has no azimuth",
+    ),
+    "heading with a negative σ": (lambda: Heading(POSE, 0.0, -0.2), "Heading: sigma_rad"),
+    "distance with a negative σ": (
+        lambda: TravelledDistance(1.0, -0.1, POSE),
+        "TravelledDistance: sigma_m",
+    ),
+    "pose with the covariance of a position": (
+        lambda: PosePrior(POSE, np.eye(4), np.eye(3)),
+        r"shape \(3, 3\)",
+    ),
+    "motion with the covariance of a rotation": (
+        lambda: RelativePose(np.eye(4), np.eye(3), POSE),
+        r"shape \(3, 3\)",
+    ),
+    "rotation with the covariance of a pose": (
+        lambda: RelativeRotation(np.eye(3), np.eye(6), POSE),
+        r"RelativeRotation: its covariance has shape \(6, 6\)",
+    ),
+    "motion without its last row": (
+        lambda: RelativePose(np.eye(4)[:3], np.eye(6), POSE),
+        r"T_curr_prev: it has shape \(3, 4\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(MISTAKES))
+def test_a_mistake_is_named(name: str) -> None:
+    make, said = MISTAKES[name]
+    with pytest.raises(InputError, match=said):
+        make()
+
+
+class OfABias(VectorMeasurement):
+    """A measurement of a pose, and of something that the odometry does not estimate."""
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (POSE, Variable("bias", 0))
+
+    def residual(self, values: Any) -> FloatArray:
+        return np.zeros(1)
+
+
+def test_a_measurement_of_what_is_not_estimated_is_refused() -> None:
+    with pytest.raises(InputError, match=r"sensor gps: at frame 1 it measured .*bias"):
+        read_sensor("gps", lambda prev, curr: [OfABias(np.eye(1))], PREV, CURR)
+
+
+def test_an_exception_of_a_measurement_is_passed_on() -> None:
+    """It is a mistake in the sensor's code, and not a receiver without a fix."""
+
+    class Wrong(Heading):
+        def residual(self, values: Any) -> FloatArray:
+            raise ValueError("shapes do not fit")
+
+    with pytest.raises(ValueError, match="shapes do not fit"):
+        read_sensor("gps", lambda prev, curr: [Wrong(POSE, 0.0, 0.1)], PREV, CURR)
+
+
+@pytest.mark.parametrize("heading_rad", [math.nan, math.inf, -math.inf])
+def test_a_heading_without_a_fix_is_no_measurement(heading_rad: float) -> None:
+    found = read_sensor("gps", lambda prev, curr: [Heading(POSE, heading_rad, 0.1)], PREV, CURR)
+    assert found.measurements == ()
+    assert found.reason == "not a finite value"
+
+
+def test_a_correction_without_a_value_is_no_measurement() -> None:
+    class Broken(MotionCorrection):
+        name = "broken"
+
+        def correct(
+            self, prev_frame: Frame, frame: Frame, T_curr_prev: FloatArray, *, cov: FloatArray
+        ) -> RelativePose:
+            return RelativePose(np.full((4, 4), np.nan), cov, POSE)
+
+    found = read_correction(Broken(), (PREV, CURR), np.eye(4), name="broken", cov=np.eye(6))
+    assert found.measurements == ()
+    assert found.reason == "not a finite value"
