@@ -29,14 +29,16 @@ _READ_FACTS = "probevo.nets.network_file:read_facts"
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors of N measurements of a sensor on a recording, and what it claims of them."""
+    """Errors of the N measurements that a run would use, and what the sensor claims of them."""
 
     errors: FloatArray
     """[N, d], rad, or m and rad."""
     covariances: FloatArray
     """[N, d, d]."""
     num_out_of_domain: int
-    """Measurements whose covariance was widened."""
+    """Those whose covariance was widened."""
+    num_silent: int
+    """Inputs so far out of the domain that the sensor gives no measurement."""
     num_lengths: int = 0
     """Leading components that are lengths, in m instead of rad."""
     saliency: FloatArray | None = None

@@ -266,7 +266,7 @@ def test_settings_of_networks_are_refused_by_noise_models(
 ) -> None:
     out = str(tmp_path / "model.safetensors")
     assert main(["train", *map(str, walls), "--nets.heads", "7", "--out", out]) == 2
-    assert "--nets: --kind knn is no network" in capsys.readouterr().err
+    assert "--nets: --kind knn is not a network" in capsys.readouterr().err
 
 
 def test_files_that_are_no_sensors_are_refused(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,13 @@ eqx = pytest.importorskip("equinox")
 from probevo.errors import InputError  # noqa: E402
 from probevo.nets import methods  # noqa: E402
 from probevo.nets.domain import FARTHEST, Domain  # noqa: E402
-from probevo.nets.field_network import linear_fit  # noqa: E402
+from probevo.nets.field_network import field_network, linear_fit  # noqa: E402
 from probevo.nets.flow_field import CELLS  # noqa: E402
 from probevo.nets.learning import LearningPlan, TrainingData, learn  # noqa: E402
 from probevo.nets.methods import Method  # noqa: E402
 from probevo.nets.network_file import write_network_file  # noqa: E402
 from probevo.nets.networks import Network  # noqa: E402
-from probevo.nets.sun_network import (  # noqa: E402
-    SPACE,
-    SunNetwork,
-    build,
-    method_of,
-    method_text,
-)
+from probevo.nets.sun_network import SPACE, SunNetwork, method_of, method_text  # noqa: E402
 from probevo.nets.sun_space import LEAST_SIGMA_RAD  # noqa: E402
 from probevo.nets.sun_views import CHANNELS, SunViews, image_statistics  # noqa: E402
 from probevo.nets.trained_network import first_facts, saliency, trunk_features  # noqa: E402
@@ -66,11 +60,7 @@ def untrained(name: str) -> SunNetwork:
 def initial_networks(method: Method, views: SunViews) -> Any:
     """Return networks that begin as the linear regression of these views."""
     linear = linear_fit(views.fields, views.directions, 1.0)
-
-    def one(key: Any) -> Network:
-        """Return one network with random weights."""
-        return build(method, views.fields, linear, key)
-
+    one = partial(field_network, method, space=SPACE, fields=views.fields, linear=linear)
     keys = jax.random.split(jax.random.key(0), method.networks)
     return eqx.filter_jit(eqx.filter_vmap(one))(keys)
 
@@ -155,10 +145,7 @@ def test_an_ensemble_that_was_stopped_ends_with_the_same_bytes(tmp_path: Path) -
         held_out_targets=jax.numpy.asarray(views.directions[None, :4], "float32"),
     )
     linear = linear_fit(views.fields, views.directions, 1.0)
-
-    def one(method: Method, key: Any) -> Network:
-        """Return one network with random weights."""
-        return build(method, views.fields, linear, key)
+    one = partial(field_network, space=SPACE, fields=views.fields, linear=linear)
 
     def train(file: Path, stop_after: int | None = None) -> None:
         """Train, perhaps until it is stopped."""

@@ -222,3 +222,31 @@ def test_train_run_and_inspect(
     assert "RMS error of both angles" in shown
     assert f"Kept: the network after {kept} epoch" in shown
     assert "Saliency" in (seen / "inspection.html").read_text()
+
+
+def test_a_recording_without_a_true_pose_in_its_frames_is_refused(
+    walls: list[Path], tmp_path: Path
+) -> None:
+    late = shutil.copytree(walls[0], tmp_path / "late")
+    poses = (late / "poses.txt").read_text().splitlines()
+    unknown = " ".join(["nan"] * len(poses[0].split()))
+    (late / "poses.txt").write_text("\n".join([unknown] * 5 + poses[5:]) + "\n")
+    with pytest.raises(InputError, match="none of its first 4 frames has a true pose"):
+        read_views(open_sequence(late), 4)
+
+
+def test_repeated_images_are_left_out(walls: list[Path], tmp_path: Path) -> None:
+    """They are of an earlier pose than the one that the truth has for them."""
+    frozen = shutil.copytree(walls[0], tmp_path / "frozen")
+    images = sorted((frozen / "left").iterdir())
+    shutil.copy(images[3], images[4])
+    assert len(read_views(open_sequence(frozen), FRAMES)) == FRAMES - 1
+
+
+@pytest.mark.parametrize("value", [None, -1.0, "nan", "many"])
+def test_a_file_without_its_factor_is_refused(value: object, model: Path, tmp_path: Path) -> None:
+    network = SunNetwork.load(model)
+    facts = {**network.facts, "correlation": value}
+    replace(network, facts=facts).save(tmp_path / "other.safetensors")
+    with pytest.raises(InputError, match=r"other\.safetensors: it is not a complete network"):
+        SunNetwork.load(tmp_path / "other.safetensors")

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 from probevo.nets.correction_space import CorrectionTargets
 from probevo.nets.estimated_steps import NUM_STEREO
 from probevo.nets.field_network import (
@@ -35,6 +36,7 @@ from probevo.nets.methods import Method
 from probevo.nets.networks import Network, plain_dropout
 from probevo.nets.trained_network import (
     TrainedNetwork,
+    cure_of,
     empty_networks,
     facts_of_kind,
     read_arrays,
@@ -101,9 +103,13 @@ class CorrectionNetwork(TrainedNetwork):
         Raises:
             InputError: the file cannot be read, is damaged, or holds something else.
         """
-        facts = facts_of_kind(path, KIND)
+        facts = facts_of_kind(path, KIND, numbers=("gain",))
         method = Method(**facts["method"])
-        space = space_of(facts)
+        try:
+            space = space_of(facts)
+        except (KeyError, TypeError, ValueError) as error:
+            what = f"it does not say in which units it corrects what ({error!r})."
+            raise InputError(path, what, cure_of(KIND)) from error
         networks, domain = read_arrays(path, _empty(method, space), space.dof + FEATURES)
         return CorrectionNetwork(networks, domain, facts)
 

@@ -16,7 +16,7 @@ from probevo.measurements.sensor import NoMeasurement
 from probevo.nets.correction_network import CorrectionNetwork, inputs_of
 from probevo.nets.estimated_steps import stereo_field, view_pair
 from probevo.nets.flow_field import check_field_of_view, virtual_view
-from probevo.nets.trained_network import has_nothing_to_say
+from probevo.nets.trained_network import is_beyond_domain
 from probevo.sequences.frame import Frame
 
 
@@ -61,7 +61,7 @@ class CorrectionSensor(MotionCorrection):
         # The same inputs as in training: fields of three views, the motion, and its covariance
         motion = se3.log(T_curr_prev)
         found = self.network.estimate(inputs_of(field[None], motion[None], cov[None]))
-        if has_nothing_to_say(float(found.widening[0])):
+        if is_beyond_domain(float(found.widening[0])):
             return NoMeasurement("out of its domain")
         # Corrected axes have the covariance of what remains of their error; their correlation with
         # the other axes is unknown after the correction, and set to zero.

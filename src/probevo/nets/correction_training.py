@@ -34,7 +34,13 @@ from probevo.nets.image_pairs import check_recording
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.trained_network import first_facts, kept_lines, kept_text, trunk_features
+from probevo.nets.trained_network import (
+    first_facts,
+    kept_lines,
+    kept_text,
+    trunk_features,
+    which_are_used,
+)
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -103,8 +109,9 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     return [
         *lines,
         f"gain:         × {facts['gain']:.2f} on all corrections",
-        f"covariance:   × {facts['scale']:.2f}, by errors of {BLOCK} successive steps"
-        f" ({facts['scale_single']:.2f} by single ones); then {facts['coverage_90']:.0%} of single"
+        f"covariance:   × {facts['scale']:.2f}, the larger of what single errors ask for"
+        f" ({facts['scale_single']:.2f}) and what sums of {BLOCK} successive steps do"
+        f" ({facts['scale_blocks']:.2f}); then {facts['coverage_90']:.0%} of single"
         " errors lie in their 90 % region",
     ]
 
@@ -209,19 +216,22 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     """Return the errors of a network on a recording with truth.
 
     Raises:
-        InputError: the file cannot be read, or the recording lacks images or truth.
+        InputError: the file cannot be read, the network measures nothing there, or the recording
+            lacks images or truth.
     """
     network = CorrectionNetwork.load(path)
     config = OdometryConfig.model_validate(network.facts["odometry"])
     steps = read_steps(sequence, len(sequence), config=config)
     claimed = errors_of(network, steps)
     inputs = inputs_of(steps.fields, steps.motions, steps.covariances)
-    widened = network.estimate(inputs).widening > 1.0
+    widening = network.estimate(inputs).widening
+    is_used = which_are_used(widening, sequence.path)
     num_lengths = 0 if network.space.axes == ROTATION_AXES else 3
     return SensorErrors(
-        claimed.errors,
-        claimed.covariances,
-        int(np.sum(widened)),
+        claimed.errors[is_used],
+        claimed.covariances[is_used],
+        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
+        num_silent=int(np.sum(~is_used)),
         num_lengths=num_lengths,
         kept=kept_text(network.facts),
     )

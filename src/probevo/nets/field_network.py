@@ -7,6 +7,7 @@ trained part is what the heads add to it, and the covariance.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.nets.flow_field import CELLS
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network, PReluHead, Trunk, plain_dropout
 from probevo.nets.target_space import TargetSpace
+from probevo.nets.trained_network import empty_networks
 
 PATCH = 4
 """Rows and columns of cells that the first layer sees at once."""
@@ -105,16 +108,16 @@ class FieldHead(eqx.Module):
 
 
 def field_network(
-    method: Method, space: TargetSpace, fields: FloatArray, linear: LinearFit, key: jax.Array
+    method: Method, key: jax.Array, *, space: TargetSpace, fields: FloatArray, linear: LinearFit
 ) -> Network:
     """Return a network over fields, with initial weights.
 
     Args:
         method: says how many heads it has, and whether one gives the covariance.
+        key: of the weights.
         space: says how many numbers they give.
         fields: training data, [N, C, rows, columns], by which each channel is standardised.
         linear: the regression that all heads begin with.
-        key: of the weights.
     """
     key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
     _, channels, rows, columns = fields.shape
@@ -132,6 +135,16 @@ def field_network(
     )
     keys = (key_of_heads, key_of_covariance)
     return network_on(trunk, method, space, keys=keys, num_features=num_linear + FEATURES)
+
+
+def empty_field_networks(method: Method, space: TargetSpace, num_channels: int) -> Network:
+    """Return a structure to read the networks of a file into."""
+    rows, columns = CELLS
+    pooled = NUM_FLOW * (rows // POOL) * (columns // POOL)
+    linear = LinearFit(np.zeros((space.num_outputs, pooled)), np.zeros(space.num_outputs))
+    fields = np.zeros((1, num_channels, rows, columns))
+    build_one = partial(field_network, method, space=space, fields=fields, linear=linear)
+    return empty_networks(build_one, method.networks)
 
 
 def network_on(
@@ -174,9 +187,20 @@ def linear_fit(fields: FloatArray, targets: FloatArray, ridge: float = RIDGE) ->
 
     It is that of the standardised flow, as the network has it.
     """
-    mean, scale = standardisation(fields)
-    flow = np.asarray(pooled_flow((fields - mean) * scale), np.float64)
-    return ridge_fit(flow, targets, ridge)
+    return ridge_fit(_standardised_flow(fields, standardisation(fields)), targets, ridge)
+
+
+def linear_estimates(linear: LinearFit, learned: FloatArray, fields: FloatArray) -> FloatArray:
+    """Return what a linear regression makes of fields, [N, o].
+
+    Args:
+        linear: the regression.
+        learned: the fields that it was fitted to.
+        fields: others, [N, C, rows, columns].
+    """
+    flow = _standardised_flow(fields, standardisation(learned))
+    estimates: FloatArray = flow @ linear.weights.T + linear.offset
+    return estimates
 
 
 def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
@@ -193,8 +217,24 @@ def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> 
 def standardisation(fields: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean of each channel, and one over its standard deviation, [C, 1, 1] each."""
     mean = fields.mean(axis=(0, 2, 3), dtype=np.float64)
-    spread = np.sqrt(np.mean((fields - mean[:, None, None]) ** 2, axis=(0, 2, 3), dtype=np.float64))
+    # One channel at a time: gigabytes of images should not be there twice in double precision.
+    channels = range(fields.shape[1])
+    spread = np.array([fields[:, channel].std(dtype=np.float64) for channel in channels])
     return mean[:, None, None], 1.0 / (spread[:, None, None] + 1e-6)
+
+
+def _standardised_flow(fields: FloatArray, standard: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the standardised flow as means of 2 × 2 cells, [N, *].
+
+    Args:
+        fields: [N, C, rows, columns].
+        standard: as ``standardisation`` gives it.
+    """
+    mean, scale = (part[:NUM_FLOW, 0, 0] for part in standard)
+    # The mean of cells is linear: taken first, it leaves a quarter of half of the channels.
+    pooled = np.asarray(pooled_flow(fields), np.float64).reshape(len(fields), NUM_FLOW, -1)
+    standardised = (pooled - mean[:, None]) * scale[:, None]
+    return standardised.reshape(len(fields), -1)
 
 
 def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:

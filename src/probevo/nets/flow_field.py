@@ -83,7 +83,10 @@ def check_field_of_view(camera: StereoCamera) -> None:
             f"it sees {left:.2f} to the left, {right:.2f} to the right, {top:.2f} up and"
             f" {bottom:.2f} down, in units of the focal length."
         )
-        raise InputError("camera", what, f"The networks look {x:.2f} to the sides, {y:.2f} up.")
+        cure = (
+            f"Networks need {x:.2f} to either side and {y:.2f} up and down: crop the images less."
+        )
+        raise InputError("camera", what, cure)
 
 
 def field_of_images(prev: Image, curr: Image, camera: StereoCamera) -> FloatArray:

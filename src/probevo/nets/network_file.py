@@ -113,7 +113,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}.", CURE) from error
     except KeyError as error:
-        raise InputError(path, f"is no network of probevo: it lacks {error}.", CURE) from error
+        raise InputError(path, f"is not a network of probevo: it lacks {error}.", CURE) from error
     except (SafetensorError, TypeError, ValueError) as error:
         raise InputError(path, f"is damaged, or no network: {error}.", CURE) from error
     if not isinstance(facts, dict) or claimed != _checksum(text, arrays):

@@ -52,6 +52,8 @@ Samples = TypeVar("Samples")
 class TrainingRun:
     """The inputs of a training beside its samples."""
 
+    kind: str
+    """Kind of network."""
     settings: NetworkSettings
     recordings: list[dict[str, Any]]
     """Facts of all recordings, in order; the last ``left_out`` are left out."""
@@ -97,7 +99,7 @@ class TrainingRun:
         """
         settings = self.settings
         # The file's name depends on all that the training depends on.
-        key = [self.recordings, self.origins, settings.model_dump(mode="json"), self.extra]
+        facts = [self.recordings, self.origins, settings.model_dump(mode="json"), self.extra]
         trained = learn(
             method,
             space,
@@ -112,7 +114,7 @@ class TrainingRun:
                 keep_every=1,
                 seed=settings.seed,
             ),
-            file=self.folder / f"network-{_digest(key)}.safetensors",
+            file=self.folder / f"network-{_digest([self.kind, *facts])}.safetensors",
             show=self._show_epochs,
         )
         of_one_experiment = jax.tree.map(lambda array: array[0], trained.networks)
@@ -216,6 +218,7 @@ def train_task(
     folder = out.with_name(out.name + ".work")
     with locked(folder):
         run = TrainingRun(
+            task.kind,
             settings,
             [facts_of(sequence, count) for sequence, count in zip(recordings, counts, strict=True)],
             origins=[_origin(sequence) for sequence in recordings],
@@ -265,7 +268,7 @@ def _read_all(
     for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
         done = sum(counts[:number])
         # The name depends on all that the samples depend on.
-        key = [run.recordings[number], run.origins[number], task.extra]
+        key = [task.kind, run.recordings[number], run.origins[number], task.extra]
         file = run.folder / f"samples-{_digest(key)}.npz"
         found = read_samples(file, task.samples)
         if found is None:

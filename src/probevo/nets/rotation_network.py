@@ -6,18 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import numpy as np
-
 from probevo.arrays import FloatArray
-from probevo.nets.field_network import FEATURES, LinearFit, field_network
-from probevo.nets.flow_field import CELLS, CHANNELS
+from probevo.nets.field_network import FEATURES, empty_field_networks
+from probevo.nets.flow_field import CHANNELS
 from probevo.nets.methods import Method
-from probevo.nets.networks import Network
 from probevo.nets.target_space import SmallRotationTargets
 from probevo.nets.trained_network import (
     TrainedNetwork,
-    empty_networks,
     facts_of_kind,
     read_arrays,
 )
@@ -63,29 +58,12 @@ class RotationNetwork(TrainedNetwork):
         """
         facts = facts_of_kind(path, KIND)
         method = Method(**facts["method"])
-        networks, domain = read_arrays(path, _empty(method), SPACE.num_outputs + FEATURES)
+        networks, domain = read_arrays(
+            path, empty_field_networks(method, SPACE, CHANNELS), SPACE.num_outputs + FEATURES
+        )
         return RotationNetwork(networks, domain, facts)
 
 
 def method_of(num_heads: int) -> Method:
     """Return the method: hydra-sigma without noise on its targets, as the authors had on KITTI."""
     return Method("hydra-sigma", heads=num_heads, learns_covariance=True)
-
-
-def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:
-    """Return a network with initial weights."""
-    return field_network(method, SPACE, fields, linear, key=key)
-
-
-def _empty(method: Method) -> Network:
-    """Return a structure to read a file into."""
-    rows, columns = CELLS
-    fields = np.zeros((1, CHANNELS, rows, columns))
-    weights = np.zeros((SPACE.num_outputs, rows * columns // 2))
-    linear = LinearFit(weights, np.zeros(SPACE.num_outputs))
-
-    def one(key: jax.Array) -> Network:
-        """Return one network with random weights."""
-        return build(method, fields, linear, key)
-
-    return empty_networks(one)

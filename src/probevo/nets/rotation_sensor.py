@@ -13,7 +13,7 @@ from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement
 from probevo.nets.flow_field import check_field_of_view, field_of_images
 from probevo.nets.rotation_network import RotationNetwork
-from probevo.nets.trained_network import has_nothing_to_say
+from probevo.nets.trained_network import is_beyond_domain
 from probevo.sequences.frame import Frame
 
 
@@ -53,7 +53,7 @@ class RotationSensor:
             return NoMeasurement("repeated image")
         field = field_of_images(prev_frame.left, frame.left, self.camera)
         found = self.network.estimate(field[None])
-        if has_nothing_to_say(float(found.widening[0])):
+        if is_beyond_domain(float(found.widening[0])):
             return NoMeasurement("out of its domain")
         measured = RelativeRotation(
             Rotation.from_quat(found.q_curr_prev[0], scalar_first=True).as_matrix(),

@@ -7,26 +7,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.nets import methods, quaternions
+from probevo.nets import quaternions
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.domain import Domain
-from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
+from probevo.nets.field_network import LinearFit, field_network, linear_estimates, linear_fit
 from probevo.nets.image_pairs import ImagePairs, check_recording, read_pairs
-from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, build, method_of
+from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, method_of
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
     kept_text,
     saliency,
     trunk_features,
+    which_are_used,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -70,8 +69,9 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
         *kept_lines(facts),
         f"error:        median {facts['error_deg']:.3f}°, rms {rms_deg}° about x, y, z; that of the"
         f" linear regression {facts['linear_error_deg']:.3f}°",
-        f"covariance:   × {facts['scale']:.2f}, by errors of {BLOCK} successive pairs"
-        f" ({facts['scale_single']:.2f} by single ones); then {facts['coverage_90']:.0%} of single"
+        f"covariance:   × {facts['scale']:.2f}, the larger of what single errors ask for"
+        f" ({facts['scale_single']:.2f}) and what sums of {BLOCK} successive pairs do"
+        f" ({facts['scale_blocks']:.2f}); then {facts['coverage_90']:.0%} of single"
         " errors lie in their 90 % region",
     ]
 
@@ -91,7 +91,7 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     trained = run.learn(
         method,
         SPACE,
-        partial(_built, fields=learned.fields, linear=linear),
+        partial(field_network, space=SPACE, fields=learned.fields, linear=linear),
         learned=(learned.fields, _quaternions(learned.rotations)),
         left_out=(joined.fields, _quaternions(joined.rotations)),
     )
@@ -110,16 +110,10 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     return calibrated(RotationNetwork(networks, domain, first), left_out)
 
 
-def _built(method: methods.Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
-    return build(method, fields, linear, key)
-
-
 def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) -> FloatArray:
     """Return the errors of the linear regression alone, [N, 3], rad, on pairs left out."""
-    mean, scale = standardisation(learned.fields)
-    flow = np.asarray(pooled_flow((left_out.fields - mean) * scale), np.float64)
     # Outputs are in units of 0.01 rad; errors are left perturbations, Log(C C_trueᵀ).
-    estimated = SPACE.unit_rad * (flow @ linear.weights.T + linear.offset)
+    estimated = SPACE.unit_rad * linear_estimates(linear, learned.fields, left_out.fields)
     errors: FloatArray = so3.log(so3.exp(estimated) @ so3.exp(-left_out.rotations))
     return errors
 
@@ -136,16 +130,19 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     """Return the errors of a network on a recording with truth.
 
     Raises:
-        InputError: the file cannot be read, or the recording lacks images or truth.
+        InputError: the file cannot be read, the network measures nothing there, or the recording
+            lacks images or truth.
     """
     network = RotationNetwork.load(path)
     pairs = read_pairs(sequence, len(sequence))
     errors, covariances = errors_of(network, pairs)
     widening = network.estimate(pairs.fields).widening
+    is_used = which_are_used(widening, sequence.path)
     return SensorErrors(
-        errors,
-        covariances,
-        int(np.sum(widening > 1.0)),
+        errors[is_used],
+        covariances[is_used],
+        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
+        num_silent=int(np.sum(~is_used)),
         kept=kept_text(network.facts),
         saliency=saliency(network, SPACE, pairs.fields, _quaternions(pairs.rotations)),
     )

@@ -6,19 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import numpy as np
-
 from probevo.arrays import FloatArray
-from probevo.nets.field_network import LinearFit, field_network
-from probevo.nets.flow_field import CELLS
+from probevo.nets.field_network import empty_field_networks
 from probevo.nets.methods import Method
-from probevo.nets.networks import Network
 from probevo.nets.sun_space import SunTargets
 from probevo.nets.sun_views import CHANNELS, NUM_STATISTICS, image_statistics
 from probevo.nets.trained_network import (
     TrainedNetwork,
-    empty_networks,
     facts_of_kind,
     read_arrays,
 )
@@ -70,9 +64,11 @@ class SunNetwork(TrainedNetwork):
         Raises:
             InputError: the file cannot be read, is damaged, or holds something else.
         """
-        facts = facts_of_kind(path, KIND)
+        facts = facts_of_kind(path, KIND, numbers=("correlation",))
         method = Method(**facts["method"])
-        networks, domain = read_arrays(path, _empty(method), NUM_STATISTICS)
+        networks, domain = read_arrays(
+            path, empty_field_networks(method, SPACE, CHANNELS), NUM_STATISTICS
+        )
         return SunNetwork(networks, domain, facts)
 
 
@@ -97,22 +93,3 @@ def method_text(method: Method) -> str:
     if method.heads > 1:
         parts.append(f"{method.heads} heads")
     return ", ".join(parts)
-
-
-def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:
-    """Return a network with initial weights."""
-    return field_network(method, SPACE, fields, linear, key=key)
-
-
-def _empty(method: Method) -> Network:
-    """Return a structure to read a file into."""
-    rows, columns = CELLS
-    fields = np.zeros((1, CHANNELS, rows, columns))
-    weights = np.zeros((SPACE.num_outputs, rows * columns // 2))
-    linear = LinearFit(weights, np.zeros(SPACE.num_outputs))
-
-    def one(key: jax.Array) -> Network:
-        """Return one network with random weights."""
-        return build(method, fields, linear, key)
-
-    return empty_networks(one, method.networks)

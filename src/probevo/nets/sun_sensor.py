@@ -15,7 +15,7 @@ from probevo.measurements.sensor import NoMeasurement
 from probevo.nets.flow_field import check_field_of_view
 from probevo.nets.sun_network import SunNetwork
 from probevo.nets.sun_views import read_sun, sun_field
-from probevo.nets.trained_network import has_nothing_to_say
+from probevo.nets.trained_network import is_beyond_domain
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 
@@ -69,7 +69,7 @@ class SunFromImages:
         """Return the direction of the sun with its covariance, or why there is none."""
         # The first frame of each period measures: stamps decide, so that no state is kept.
         if prev_frame.stamp_ns // PERIOD_NS == frame.stamp_ns // PERIOD_NS:
-            return NoMeasurement("not yet again")
+            return NoMeasurement("measured less than half a second ago")
         if frame.left is None:
             return NoMeasurement("no image")
         # An image that is repeated is of an earlier pose; behind several, the previous frame has
@@ -77,7 +77,7 @@ class SunFromImages:
         if prev_frame.left is None or np.array_equal(prev_frame.left, frame.left):
             return NoMeasurement("repeated image")
         found = self.network.estimate(sun_field(frame.left, self.camera)[None])
-        if has_nothing_to_say(float(found.widening[0])):
+        if is_beyond_domain(float(found.widening[0])):
             return NoMeasurement("out of its domain")
         # Errors of successive measurements are alike: each claims more, so that their sum is
         # consistent.

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,11 +14,10 @@ from probevo.arrays import FloatArray
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import Domain
-from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
+from probevo.nets.field_network import field_network, linear_estimates, linear_fit
 from probevo.nets.methods import Method
-from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build, method_of, method_text
+from probevo.nets.sun_network import KIND, SPACE, SunNetwork, method_of, method_text
 from probevo.nets.sun_views import (
     SunViews,
     check_sun_recording,
@@ -31,6 +29,7 @@ from probevo.nets.trained_network import (
     kept_lines,
     kept_text,
     saliency,
+    which_are_used,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -99,7 +98,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     trained = run.learn(
         method,
         SPACE,
-        partial(_built, fields=learned.fields, linear=linear),
+        partial(field_network, space=SPACE, fields=learned.fields, linear=linear),
         learned=(learned.fields, learned.directions),
         left_out=(joined.fields, joined.directions),
     )
@@ -111,7 +110,9 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
         "scale": 1.0,
         "correlation": 1.0,
         "baseline_deg": {
-            "linear regression": _median_deg(_linear(linear, learned, joined), joined.directions),
+            "linear regression": _median_deg(
+                linear_estimates(linear, learned.fields, joined.fields), joined.directions
+            ),
             "mean direction": _median_deg(
                 np.tile(learned.directions.mean(axis=0), (len(joined), 1)), joined.directions
             ),
@@ -119,18 +120,6 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
         **run.facts(trained),
     }
     return calibrated(SunNetwork(networks, domain, first), left_out)
-
-
-def _built(method: Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
-    return build(method, fields, linear, key)
-
-
-def _linear(linear: LinearFit, learned: SunViews, left_out: SunViews) -> FloatArray:
-    """Return the vectors that the linear regression alone gives, [N, 3]."""
-    mean, scale = standardisation(learned.fields)
-    pooled = np.asarray(pooled_flow((left_out.fields - mean) * scale), np.float64)
-    vectors: FloatArray = pooled @ linear.weights.T + linear.offset
-    return vectors
 
 
 def _median_deg(vectors: FloatArray, directions: FloatArray) -> float:
@@ -151,16 +140,19 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     """Return the errors of a network on a recording with truth.
 
     Raises:
-        InputError: the file cannot be read, or the recording lacks images, truth or ``sun.txt``.
+        InputError: the file cannot be read, the network measures nothing there, or the recording
+            lacks images, truth or ``sun.txt``.
     """
     network = SunNetwork.load(path)
     views = read_views(sequence, len(sequence))
     errors, covariances = errors_of(network, views)
     widening = network.estimate(views.fields).widening
+    is_used = which_are_used(widening, sequence.path)
     return SensorErrors(
-        errors,
-        covariances,
-        int(np.sum(widening > 1.0)),
+        errors[is_used],
+        covariances[is_used],
+        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
+        num_silent=int(np.sum(~is_used)),
         kept=kept_text(network.facts),
         saliency=saliency(network, SPACE, views.fields, views.directions),
     )
@@ -179,18 +171,16 @@ def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwor
     """
     claimed = [errors_of(network, views) for views in left_out]
     found = calibration(claimed)
-    # How much more blocks ask for once single errors are consistent
-    single = [Claimed(each.errors, found.scale_single * each.covariances) for each in claimed]
-    with_single = calibration(single)
-    errors = np.concatenate([each.errors for each in single])
-    covariances = np.concatenate([each.covariances for each in single])
+    errors = np.concatenate([each.errors for each in claimed])
+    covariances = found.scale_single * np.concatenate([each.covariances for each in claimed])
     angles = np.linalg.norm(errors, axis=1)
     facts = {
         **network.facts,
         **found.facts(),
         "nll": float(np.mean(negative_log_likelihoods(errors, covariances))),
         "scale": found.scale_single,
-        "correlation": max(with_single.scale_blocks, 1.0),
+        # How much more blocks ask for once single errors are consistent
+        "correlation": max(found.scale_blocks / found.scale_single, 1.0),
         "coverage_90": coverage(errors, covariances, 0.9),
         "error_deg": float(np.degrees(np.median(angles))),
     }

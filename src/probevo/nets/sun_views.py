@@ -144,29 +144,37 @@ def read_views(
 ) -> SunViews:
     """Go through a recording, and return the images whose true pose is known.
 
+    An image that is repeated is left out, as the sensor leaves it out: it is of an earlier pose.
+
     Args:
         sequence: the recording.
         num_frames: frames to read.
         on_frame: called with the number of frames done.
 
     Raises:
-        InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, or
-            a faulty frame.
+        InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, a
+            faulty frame, or no frame with a true pose.
     """
     in_world = read_sun(sequence.path)
     T_world_cam = true_poses(sequence)
     fields = []
     directions = []
+    prev_left = None
     for frame in islice(sequence, num_frames):
         if frame.left is None:
             raise InputError(sequence.path, "there are no images.", "Networks need images.")
         C_world_cam = T_world_cam[frame.index, :3, :3]
-        if np.isfinite(C_world_cam).all():
+        is_repeated = prev_left is not None and np.array_equal(frame.left, prev_left)
+        prev_left = frame.left
+        if np.isfinite(C_world_cam).all() and not is_repeated:
             fields.append(sun_field(frame.left, sequence.camera))
             # The sun is so far away that only the attitude of the camera counts.
             directions.append(C_world_cam.T @ in_world)
         if on_frame is not None:
             on_frame(frame.index + 1)
+    if not fields:
+        what = f"none of its first {num_frames} frames has a true pose."
+        raise InputError(sequence.path, what, "Use more frames, or another recording.")
     return SunViews(np.array(fields), np.array(directions))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo import __version__
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError
 from probevo.nets import methods
 from probevo.nets.domain import FARTHEST, Domain
@@ -86,8 +86,13 @@ def first_facts(kind: str, method: Method) -> dict[str, Any]:
     return {"kind": kind, "method": asdict(method), "probevo": __version__}
 
 
-def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
+def facts_of_kind(path: Path, kind: str, numbers: Collection[str] = ()) -> dict[str, Any]:
     """Read what a file says of itself, and check that it holds a network of this kind.
+
+    Args:
+        path: the file.
+        kind: the kind.
+        numbers: the facts that this kind has beside those of all, each a finite number from 0 on.
 
     Raises:
         InputError: the file cannot be read, is damaged, or holds something else.
@@ -97,8 +102,11 @@ def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
         is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
         _check_method(Method(**facts["method"]))
         _check_epochs(facts)
+        for name in numbers:
+            if not 0.0 <= float(facts[name]) < np.inf:
+                raise ValueError(f"{name} is {facts[name]!r}")
     except (KeyError, TypeError, ValueError) as error:
-        what = f"it is no whole network of kind {kind} ({error})."
+        what = f"it is not a complete network of kind {kind} ({error})."
         raise InputError(path, what, cure_of(kind)) from error
     if not is_of_kind:
         raise InputError(path, f"it is of kind {facts['kind']!r}, not {kind}.", cure_of(kind))
@@ -222,7 +230,24 @@ def saliency(
     return np.asarray(found, np.float64)
 
 
-def has_nothing_to_say(widening: float) -> bool:
+def which_are_used(widening: FloatArray, path: Path) -> BoolArray:
+    """Return which of N inputs a run has a measurement of, [N].
+
+    Args:
+        widening: as ``evaluate`` gives it, [N].
+        path: the recording.
+
+    Raises:
+        InputError: of none: there are no errors to be shown.
+    """
+    is_used: BoolArray = widening <= FARTHEST
+    if not is_used.any():
+        what = "all of it is so unlike what the network has learned that it measures nothing."
+        raise InputError(path, what, "Take another recording, or learn from ones like this.")
+    return is_used
+
+
+def is_beyond_domain(widening: float) -> bool:
     """Return whether an input is so far out of the domain that no covariance holds."""
     return widening > FARTHEST
 

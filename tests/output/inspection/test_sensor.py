@@ -20,7 +20,8 @@ def errors_of(factor: float) -> SensorErrors:
     rng = np.random.default_rng(0)
     sigma = rng.uniform(1e-4, 1e-3, (4000, 3))
     errors = factor * sigma * rng.normal(size=(4000, 3))
-    return SensorErrors(errors, sigma[:, :, None] ** 2 * np.eye(3), num_out_of_domain=7)
+    covariances = sigma[:, :, None] ** 2 * np.eye(3)
+    return SensorErrors(errors, covariances, num_out_of_domain=7, num_silent=3)
 
 
 def test_a_consistent_sensor_lies_on_the_lines() -> None:
@@ -46,6 +47,7 @@ def test_the_page_and_the_terminal_say_the_same(tmp_path: Path) -> None:
         assert text in page
     assert "Kept" not in page
     assert "7 of 4,000 widened" in "\n".join(lines)
+    assert "Silent: 3 more inputs" in "\n".join(lines)
     (mean,) = [line for line in lines if "mean" in line]
     assert float(mean.partition(": ")[2].split()[0]) == pytest.approx(4.0, abs=0.2)
 
@@ -66,6 +68,7 @@ def test_lengths_and_angles_have_units_of_their_own(tmp_path: Path) -> None:
         np.hstack([lengths, angles.errors]),
         np.tile(np.eye(6), (len(lengths), 1, 1)),
         num_out_of_domain=0,
+        num_silent=0,
         num_lengths=3,
     )
     lines = write_sensor_inspection(tmp_path, "correction", "drive", errors=both)

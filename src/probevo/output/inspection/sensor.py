@@ -48,6 +48,7 @@ def write_sensor_inspection(
         **_axis_facts(errors),
         "φᵀ Σ⁻¹ φ / d, mean": f"{scale:.2f} (1 is consistent, more is overconfident)",
         "Out of its domain": f"{errors.num_out_of_domain:,} of {len(errors.errors):,} widened",
+        "Silent": f"{errors.num_silent:,} more inputs, too far out of its domain to be measured",
     }
     if errors.kept:
         facts["Kept"] = errors.kept
