@@ -283,13 +283,16 @@ def as_run_config(config: object) -> RunConfig:
     return checked_settings(config, RunConfig, example="{'noise': 'fixed'}")
 
 
-def checked_settings(value: object, model: type[SettingsType], *, example: str) -> SettingsType:
+def checked_settings(
+    value: object, model: type[SettingsType], *, example: str, name: str = "config"
+) -> SettingsType:
     """Return settings given as themselves, as a dictionary of those that differ, or as None.
 
     Args:
-        value: the argument ``config`` of a function.
+        value: an argument of a function.
         model: the settings that it may be.
         example: a dictionary as the caller may write it, for messages.
+        name: of the argument.
 
     Raises:
         InputError: it is something else, a key is unknown, or a value is out of bounds.
@@ -301,11 +304,11 @@ def checked_settings(value: object, model: type[SettingsType], *, example: str) 
     if not isinstance(value, Mapping):
         article = "an" if model.__name__[0] in "AEIOU" else "a"
         cure = f"Give {article} {model.__name__}, or a dict such as {example}."
-        raise InputError("config", f"is {brief(value)}.", cure)
+        raise InputError(name, f"is {brief(value)}.", cure)
     try:
         return model.model_validate(dict(value))
     except ValidationError as error:
-        raise setting_error(error, "config", model) from error
+        raise setting_error(error, name, model) from error
 
 
 def read_config(path: Path) -> RunConfig:

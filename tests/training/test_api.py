@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -596,3 +597,36 @@ def test_the_model_of_another_camera_is_refused(recordings: list[Sequence], out:
     camera: StereoCamera = replace(recordings[0].camera, baseline_m=0.1)
     with pytest.raises(InputError, match="trained with another camera"):
         model.check_camera(camera)
+
+
+def test_names_and_settings_may_be_plain(tracks: list[Path], tmp_path: Path) -> None:
+    """Text for paths, and a dictionary of the settings that differ."""
+    plain = SETTINGS.model_dump(mode="json", exclude_defaults=True)
+    out = str(tmp_path / "plain.safetensors")
+    given = pv.train_model([str(path) for path in tracks], plain, out)
+    same = pv.train_model(tracks, SETTINGS, tmp_path / "same.safetensors")
+    assert given.read_bytes() == same.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("recordings", "settings", "out", "said"),
+    [
+        ("drive", None, "m.safetensors", "recordings: is 'drive'"),
+        (Path("drive"), None, "m.safetensors", "recordings: is "),
+        ([1], None, "m.safetensors", "recordings: holds 1"),
+        ([], None, "m.safetensors", "no recording is named"),
+        (["drive"], 3, "m.safetensors", "settings: is 3"),
+        (["drive"], {"kin": "gk"}, "m.safetensors", "kin"),
+        (["drive"], None, 3, "out: is 3"),
+    ],
+)
+def test_other_arguments_are_refused_by_name(
+    recordings: Any, settings: Any, out: Any, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        pv.train_model(recordings, settings, out)
+
+
+def test_what_is_no_model_is_not_saved(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="model: is a int, which has nothing to be kept"):
+        pv.save_model(3, tmp_path / "m.safetensors")  # type: ignore[arg-type]

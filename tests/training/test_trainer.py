@@ -45,7 +45,7 @@ def test_a_kind_whose_trainer_is_a_function_is_refused(monkeypatch: pytest.Monke
     kinds = dict(noise_kinds())
     kinds["gk"] = replace(kinds["gk"], trainer="probevo.training.gk.learn:learn_kernel")
     monkeypatch.setattr(trainer_module, "noise_kinds", lambda: kinds)
-    with pytest.raises(InputError, match="learn_kernel, which learns gk, is no Trainer"):
+    with pytest.raises(InputError, match="learn_kernel, which learns gk, is not a Trainer"):
         trainer_of("gk")
 
 

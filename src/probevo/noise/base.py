@@ -123,7 +123,7 @@ def disparity_variance(scale: FloatArray) -> FloatArray:
 class NoiseModel(Protocol):
     """A noise model maps predictors to the noise of each feature; ``predict`` is pure.
 
-    With a property ``scale_is_assumed`` that is true, the odometry learns its scale on line.
+    With a property ``scale_is_assumed`` that is true, the odometry learns its scale online.
     """
 
     @property

@@ -31,9 +31,9 @@ def jitter_cov_of(file: ModelFile) -> FloatArray | None:
     is_matrix = cov.shape == (3, 3) and cov.dtype == np.float64 and bool(np.isfinite(cov).all())
     is_symmetric = is_matrix and np.allclose(cov, cov.T, rtol=1e-9, atol=0.0)
     if not is_symmetric or not np.linalg.eigvalsh(cov)[0] > 0.0:
-        raise ValueError("its covariance of the jitter is no positive definite matrix")
+        raise ValueError("its covariance of the jitter is not a positive definite matrix")
     if np.diagonal(cov).max() > LARGEST_SIGMA_RAD**2:
-        raise ValueError("its jitter is no small rotation")
+        raise ValueError("its jitter is not a small rotation")
     return cov
 
 

@@ -154,12 +154,12 @@ def _read_metadata(path: Path, stream: BinaryIO) -> str:
         header = json.loads(raw.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(
-            path, "this is no safetensors file, or it is damaged or cut short.", CURE
+            path, "this is not a safetensors file, or it is damaged or cut short.", CURE
         ) from error
     metadata = header.get("__metadata__") if isinstance(header, dict) else None
     entry = metadata.get(FORMAT) if isinstance(metadata, dict) else None
     if not isinstance(entry, str):
-        what = f"this is no noise model of probevo: its metadata lacks {FORMAT}."
+        what = f"this is not a noise model of probevo: its metadata lacks {FORMAT}."
         raise InputError(path, what, "Name a .safetensors file that probevo has trained.")
     return entry
 

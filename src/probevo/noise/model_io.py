@@ -14,8 +14,13 @@ def save_model(model: LearnedNoiseModel, path: Path | str) -> None:
     """Write a fitted model; the same model gives the same bytes.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the model is none that was learned, or the file cannot be written.
     """
+    if not isinstance(path, str | Path):
+        raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
+    if not hasattr(model, "to_file"):
+        what = f"is a {type(model).__name__}, which has nothing to be kept."
+        raise InputError("model", what, "Give a model as train_model or fit returns it.")
     write_model_file(Path(path), model.to_file())
 
 
@@ -43,5 +48,5 @@ def load_model(path: Path | str) -> LearnedNoiseModel:
         return readers[file.kind](file)
     except (KeyError, ValueError, OverflowError, RecursionError, InputError) as error:
         raise InputError(
-            path, f"it is no whole {file.kind} model ({error}).", "Train it again."
+            path, f"it is not a complete {file.kind} model ({error}).", "Train it again."
         ) from error

@@ -86,4 +86,4 @@ def _unknown(spec: str, names: Collection[str]) -> InputError:
     cure = f"Known are {', '.join(names)}; or give a model file (.safetensors)."
     if similar:
         cure = f"Did you mean {' or '.join(similar)}? {cure}"
-    return InputError("noise", f"{spec!r} is no known name, and no such file exists.", cure)
+    return InputError("noise", f"{spec!r} is not a known name, and no such file exists.", cure)

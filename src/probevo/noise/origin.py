@@ -62,7 +62,7 @@ class _Search(_TrainingPart):
         if not isinstance(self.chosen, dict | None) and self.chosen not in self.candidates:
             raise ValueError("what a search has chosen is none of its candidates")
         if self.errors is not None and any(isinstance(each, str) for each in self.candidates):
-            raise ValueError("a candidate is no number")
+            raise ValueError("a candidate is not a number")
         return self
 
 

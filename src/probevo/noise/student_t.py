@@ -83,7 +83,7 @@ class StudentT:
 
     @property
     def scale_is_assumed(self) -> bool:
-        """Whether its scale is the default one, which the odometry learns on line
+        """Whether its scale is the default one, which the odometry learns online
         (``has_assumed_scale``)."""
         return np.array_equal(self.scale_, DEFAULT_SCALE)
 
@@ -158,7 +158,7 @@ class StudentT:
         # The eigenvalues are those of the lower triangle alone.
         is_symmetric = is_matrix and np.allclose(scale, scale.T, rtol=1e-9, atol=0.0)
         if not is_symmetric or not np.linalg.eigvalsh(scale)[0] > 0.0:
-            raise ValueError("its scale is no positive definite matrix")
+            raise ValueError("its scale is not a positive definite matrix")
         return StudentT(
             dof=float(facts.dof),
             scale=scale,

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from collections.abc import Sequence as Collection
 from contextlib import suppress
 from functools import reduce
 from operator import add
 from pathlib import Path
+from typing import Any
 
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.predictors import PredictionSpace, Predictor
+from probevo.python_arguments import as_path
+from probevo.run_config import checked_settings
+from probevo.sequences.base import Sequence
 from probevo.storage.files import check_folder, name_as_text
 from probevo.storage.lock import locked
 from probevo.training.checkpoint import Checkpoint, checkpoint_folder
@@ -20,7 +25,13 @@ from probevo.training.progress import OnProgress, TrainingProgress
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.settings_check import check_settings
-from probevo.training.sources import Recording, Source, checked_sources, known_predictors
+from probevo.training.sources import (
+    Recording,
+    RecordingAt,
+    Source,
+    checked_sources,
+    known_predictors,
+)
 from probevo.training.trainer import Trainer, TrainingContext, trainer_of
 from probevo.training.workers import Workers
 
@@ -28,9 +39,9 @@ HERE = Workers()
 
 
 def train_model(
-    recordings: Collection[Recording],
-    settings: TrainSettings,
-    out: Path,
+    recordings: Collection[Recording | str],
+    settings: TrainSettings | Mapping[str, Any] | None,
+    out: Path | str,
     on_progress: OnProgress | None = None,
     own_predictors: Collection[Predictor] = (),
     *,
@@ -46,7 +57,7 @@ def train_model(
     Args:
         recordings: recordings of one camera. Paths are opened when they are needed, so that many
             need not be open at a time.
-        settings: all settings.
+        settings: all settings, or a dictionary of those that differ from the defaults.
         out: the model file.
         on_progress: called after each frame and iteration; with other workers, from time to time by
             another thread.
@@ -62,8 +73,9 @@ def train_model(
             be written to, or another process is learning it; or workers are lost.
     """
     # Refuse before the long work what would only show after it.
-    if not recordings:
-        raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
+    recordings = _as_recordings(recordings)
+    settings = checked_settings(settings, TrainSettings, example='{"kind": "gk"}', name="settings")
+    out = as_path(out, "out")
     check_settings(settings)
     trainer = trainer_of(settings.kind)
     space = PredictionSpace((*known_predictors(settings, recordings), *own_predictors))
@@ -97,6 +109,24 @@ def train_model(
     with suppress(OSError):  # it holds files of others
         folder.rmdir()
     return out
+
+
+def _as_recordings(recordings: object) -> list[Recording]:
+    """Return recordings, some of which may be named by a ``str``.
+
+    Raises:
+        InputError: there is none, or it is no collection of recordings.
+    """
+    cure = 'Give a list of recordings or of their folders, such as ["drive"].'
+    if isinstance(recordings, str | Path) or not isinstance(recordings, Iterable):
+        raise InputError("recordings", f"is {brief(recordings)}.", cure)
+    found = [Path(each) if isinstance(each, str) else each for each in recordings]
+    if not found:
+        raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
+    for each in found:
+        if not isinstance(each, Path | RecordingAt | Sequence):
+            raise InputError("recordings", f"holds {brief(each)}.", cure)
+    return found
 
 
 def _train(

@@ -170,7 +170,7 @@ class Checkpoint:
         with damage_reported(path):
             plan = json.loads(path.read_text("utf-8"))
             if not (isinstance(plan, dict) and "drives" in plan):
-                raise ValueError("it is no plan of a training")
+                raise ValueError("it is not the plan of a training")
             return plan
 
     def _refuse_foreign(self) -> None:

@@ -51,7 +51,7 @@ def check_settings(settings: TrainSettings) -> None:
     # A setting of another kind counts as given if it differs from its default.
     default = TrainSettings()
     if settings.nets != default.nets:
-        raise InputError("--nets", f"--kind {kind} is no network.", "Leave its options out.")
+        raise InputError("--nets", f"--kind {kind} is not a network.", "Leave its options out.")
     for name, cure in trainer.unused_settings.items():
         value_of = attrgetter(name)
         if value_of(settings) != value_of(default):
@@ -75,7 +75,7 @@ def check_sensor_settings(settings: TrainSettings) -> None:
             default, name
         ):
             flag = "--" + name.replace("_", "-")
-            what = f"--kind {settings.kind} does not take it: it is no noise model."
+            what = f"--kind {settings.kind} does not take it: it is not a noise model."
             raise InputError(flag, what, "Leave it out.")
     for name in sorted({name for other in SENSOR_KINDS.values() for name in other.nets}):
         if name not in kind.nets and getattr(settings.nets, name) != getattr(default.nets, name):

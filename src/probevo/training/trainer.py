@@ -85,7 +85,7 @@ def trainer_of(kind: str) -> Trainer:
     if not isinstance(trainer, Trainer):
         raise InputError(
             "--kind",
-            f"{kinds[kind].trainer}, which learns {kind}, is no Trainer.",
+            f"{kinds[kind].trainer}, which learns {kind}, is not a Trainer.",
             "Name a probevo.training.trainer.Trainer in its NoiseKind.",
         )
     return trainer

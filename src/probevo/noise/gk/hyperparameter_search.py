@@ -92,10 +92,10 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             )
         if name in ("neighbors", "centers", "prior_counts") and not np.isfinite(value):
             raise InputError(
-                where, f"{name} is {value}, which is no number.", "Leave it to be chosen."
+                where, f"{name} is {value}, which is not a number.", "Leave it to be chosen."
             )
         if name in ("neighbors", "centers") and int(value) != value:
-            raise InputError(where, f"{name} is {value}, which is no whole number.", "Round it.")
+            raise InputError(where, f"{name} is {value}, which is not a whole number.", "Round it.")
     # Weights: one a column, not all zero.
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     in_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())

@@ -108,7 +108,7 @@ class NearestNeighbors:
             )
         check_neighbors(self.neighbors, len(alphas))
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
-            raise InputError("training data", "an error α is no positive number.")
+            raise InputError("training data", "an error α is not a positive number.")
         self.metric_ = metric or Metric.fitted(predictors)
         # The geometric mean is an arithmetic mean of logarithms, so the index stores these.
         if self.average == "geometric":
