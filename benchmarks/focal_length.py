@@ -66,7 +66,7 @@ def row(camera: StereoCamera, frames: list[Frame], ratio: float) -> str:
     turns = so3.log(np.array([motion.T_curr_prev[:3, :3] for motion in motions]))[:, :2]
     turned_deg = np.rad2deg(np.linalg.norm(turns, axis=1).sum())
     error = (odometry.rig or RigCalibration.initial()).focal.error()
-    said = "warned" if error.is_beyond_lenses else "said" if error.is_noticeable else ""
+    said = "warned" if error.exceeds_lenses else "said" if error.is_noticeable else ""
     return (
         f"{num_ok:4d} of {len(motions):4d} OK, turned by {turned_deg:4.0f}°,"
         f" {error.percent:+6.2f} ± {100.0 * error.sigma:.2f} % {said}"

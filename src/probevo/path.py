@@ -28,12 +28,12 @@ def compound(motions: Iterable[MotionEstimate]) -> tuple[FloatArray, FloatArray]
         the left perturbations of T_cam_world, [K + 1, 6, 6], m and rad, 0 at the first.
 
     Raises:
-        InputError: an element is no MotionEstimate.
+        InputError: an element is not a MotionEstimate.
     """
     steps = []
     for motion in motions:
         if not isinstance(motion, MotionEstimate):
-            raise InputError("motions", f"{brief(motion)} is no MotionEstimate.")
+            raise InputError("motions", f"{brief(motion)} is not a MotionEstimate.")
         if motion.status is not Status.FIRST:
             steps.append(motion)
     T_curr_prev = np.array([step.T_curr_prev for step in steps]).reshape(-1, 4, 4)

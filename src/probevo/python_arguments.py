@@ -100,7 +100,7 @@ def as_array(value: object, name: str, shape: tuple[int | None, ...]) -> FloatAr
     try:
         array = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InputError(name, f"is no array of numbers ({error}).") from error
+        raise InputError(name, f"is not an array of numbers ({error}).") from error
     fits = array.ndim == len(shape) and all(
         wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
     )

@@ -134,7 +134,7 @@ def _spoil(arguments: SpoilArguments) -> list[str]:
     original = open_sequence(arguments.sequence, reading.format, **reading.format_options())
     recording = SpoiledRecording.of(original, settings)
     num_frames = len(recording)
-    with progress_bar(f"spoiling {original.path.name}", "reading") as show:
+    with progress_bar(f"spoiling {original.path.resolve().name}", "reading") as show:
         write_spoiled(out, recording, on_frame=lambda index: show(index + 1, num_frames))
     effects = Counter(plan.effect or "clean" for plan in recording.plans)
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in effects.most_common())

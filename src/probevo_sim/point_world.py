@@ -274,11 +274,12 @@ def _check_size(config: PointConfig, frames: int) -> None:
             "a drive is shorter than two frames.",
             "Drive longer, or with more frames.",
         )
-    if frames * config.landmarks <= MAX_SIGHTINGS:
+    sightings = frames * config.landmarks
+    if sightings <= MAX_SIGHTINGS:
         return
     what = (
-        f"{frames} frames of {config.landmarks} landmarks are too many; together they may make"
-        f" {MAX_SIGHTINGS:g}."
+        f"{frames} frames × {config.landmarks} landmarks are {sightings:,}; at most"
+        f" {MAX_SIGHTINGS:,} are possible."
     )
     raise InputError(
         "point world", what, "Simulate fewer landmarks, a shorter drive, or fewer frames a second."

@@ -213,7 +213,7 @@ def test_the_picture_is_the_same_bytes_each_time(world: World, tmp_path: Path, e
 @pytest.mark.parametrize(
     ("out", "what"),
     [
-        ("errors.txt", "errors.txt is no picture that can be written"),
+        ("errors.txt", "errors.txt is not a picture format that can be written"),
         ("file/errors.png", "file is a file"),
         ("folder.png", "folder.png is a folder"),
     ],

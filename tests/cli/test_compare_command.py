@@ -263,6 +263,10 @@ def test_what_is_done_when_it_is_stopped_is_compared(
         ([], ["SEQUENCE: no recording is named."]),
         (["W/a/test.npz", "W/nowhere"], ["nowhere: nothing is there."]),
         (["W/a/test.npz", "W/a/../a/test.npz"], ["test.npz is given twice."]),
+        (
+            ["W/a/test.npz", "W/b/test.npz", "--truth", "poses.tum"],
+            ["--truth: poses.tum would be the truth of 2 recordings."],
+        ),
         (["W/a/test.npz", "--noise"], ["--noise: no estimator is named."]),
         (
             ["W/a/test.npz", "--noise", "fixed", "student-t", "fixed"],

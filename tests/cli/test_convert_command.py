@@ -97,8 +97,8 @@ def test_run_and_convert_write_the_same_odometry(
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["--out", "full"], "no empty folder"),
-        (["--out", "new", "--compressed"], "is no bag"),
+        (["--out", "full"], "is not empty"),
+        (["--out", "new", "--compressed"], "is not a bag"),
         (["--out", "x.bag", "--max-frames", "0"], "at least 1"),
         (["--out", "x.bag", "--ros.T-base-cam", *["0"] * 16], "rigid transform"),
     ],

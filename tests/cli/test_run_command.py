@@ -574,7 +574,7 @@ def test_strict_accepts_a_run_that_is_ok(wall: Path, tmp_path: Path) -> None:
         (["WALL", "--out", "OUT", "--max-frames", "1"], ["--max-frames is 1;", "equal to 2"]),
         (
             ["WALL", "--out", "OUT", "--noise", "student"],
-            ["noise: 'student' is no known", "Did you mean student-t?"],
+            ["noise: 'student' is not a known", "Did you mean student-t?"],
         ),
     ],
 )

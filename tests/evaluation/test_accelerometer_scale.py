@@ -16,7 +16,7 @@ from probevo.cli.main import main
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.geometry import se3
 from probevo.output.run_warnings import accelerometer_warning
-from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu import ImuStream, hold_over_interval
 from worlds import FRAME_NS, START_NS
 
 FRAMES = 150
@@ -79,6 +79,23 @@ def test_the_ratio_is_right_within_its_standard_deviation(scale: float) -> None:
     assert 0.4 < np.mean(np.square(z)) < 2.0
     assert abs(np.mean(z)) < 0.6
     assert max(sigma) < 0.05 / 3.0
+
+
+@pytest.mark.parametrize("phase_ms", [0.5, 2.0, 5.0, 8.0])
+def test_held_samples_are_no_holes(phase_ms: float) -> None:
+    """OXTS's packets are held over their interval, which gives two stamps 1 ns apart: wherever the
+    frames lie between them, as many intervals count as with the samples themselves."""
+    stream, truth = drive_of(0)
+    shifted = stream.stamps_ns + round(1e6 * phase_ms)
+    force = np.hstack([stream.gyro_rad_s, stream.accel_m_s2])
+    stamps_ns, held = hold_over_interval(shifted, force)
+    of_packets = ImuStream(stamps_ns, held[:, :3], held[:, 3:], longest_gap_ns=20_000_000)
+    poses = as_seen(truth, 1.0, 0)
+    plain = found(stream, poses)
+    result = found(of_packets, poses)
+    assert plain is not None
+    assert result is not None
+    assert result.count >= 0.95 * plain.count
 
 
 def test_who_hardly_accelerates_learns_nothing() -> None:

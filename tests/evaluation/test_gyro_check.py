@@ -95,3 +95,15 @@ def test_a_late_clock_comes_back(late_s: float) -> None:
 def test_too_few_steps_say_nothing() -> None:
     between_ns, image_rad, stream = drive()
     assert check_gyro(between_ns[:5], image_rad[:5], stream, CALIBRATION) is None
+
+
+@pytest.mark.parametrize(("swing", "most"), [(1.0, 0.01), (0.0, 1.2)])
+def test_a_gyro_that_is_shaken_is_as_noisy_as_it_shows(swing: float, most: float) -> None:
+    """Twenty times as noisy as its data sheet: at rest, its unit cannot be told from that."""
+    between_ns, image_rad, stream = drive()
+    rng = np.random.default_rng(2)
+    noise = 20.0 * 1e-3 / np.sqrt(0.01) * rng.normal(size=stream.gyro_rad_s.shape)
+    shaken = replace(stream, gyro_rad_s=swing * stream.gyro_rad_s + 0.1 * noise)
+    found = check_gyro(between_ns, swing * image_rad, shaken, CALIBRATION)
+    assert found is not None
+    assert (0.5 if swing == 0.0 else 0.0) < found.attenuation < most

@@ -20,6 +20,8 @@ class Host:
         self.files = files
         self.breaks_after: list[int] = []
         """Bytes after which the next answers break off, one for each answer."""
+        self.fails_with: list[int] = []
+        """Codes that the next answers have instead of the file, one for each answer."""
         self.has_ranges = True
         self.pause_s = 0.0
         """Pause after each 64 kB."""
@@ -45,6 +47,9 @@ class Host:
         span = request.headers.get("Range", "")
         self.asked.append((request.path, span))
         request.close_connection = True
+        if self.fails_with:
+            request.send_error(self.fails_with.pop(0))
+            return
         data = self.files.get(request.path)
         if data is None:
             request.send_error(404)

@@ -145,6 +145,15 @@ def test_a_part_that_is_complete_is_not_fetched_again(hosts: Hosts, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["data.zip"]
 
 
+@pytest.mark.parametrize("code", [408, 429, 500, 503])
+def test_a_busy_host_is_asked_again(code: int, hosts: Hosts, tmp_path: Path) -> None:
+    host = hosts({"/data.zip": DATA})
+    host.fails_with = [code, code]
+    done = download(remote(f"{host.url}/data.zip"), tmp_path, wait_s=0.0)
+    assert done.path.read_bytes() == DATA
+    assert len(host.asked) == 3
+
+
 @pytest.mark.parametrize("first", ["down", "missing", "wrong"])
 def test_the_next_host_takes_over(first: str, hosts: Hosts, tmp_path: Path) -> None:
     """Where one is down, has no such file, or has one of another checksum."""

@@ -52,8 +52,8 @@ def test_a_name_takes_precedence_over_a_file_of_that_name(
 @pytest.mark.parametrize(
     ("spec", "fragments"),
     [
-        ("student", ["'student' is no known name", "Did you mean student-t?"]),
-        ("Fixed", ["'Fixed' is no known name", "Did you mean fixed?"]),
+        ("student", ["'student' is not a known name", "Did you mean student-t?"]),
+        ("Fixed", ["'Fixed' is not a known name", "Did you mean fixed?"]),
         ("agressive", ["Did you mean aggressive?"]),
         ("zzz", ["Known are fixed, student-t, aggressive; or give a model file"]),
         ("", ["Known are fixed"]),

@@ -96,6 +96,24 @@ def test_files_from_before_the_features_were_counted_and_their_noise_scaled(
     assert old.noise_factor is None
 
 
+def test_covariances_from_a_later_frame_are_the_same_when_read_back(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
+    """Those of a window; the file does not hold its smoothed poses, but their covariances."""
+    run = make_run(6)
+    cross_cov = np.tile(1e-6 * np.eye(6), (5, 1, 1))
+    smoothed_cov = np.tile(1e-4 * np.eye(6), (6, 1, 1))
+    run = replace(
+        run, path_cross_cov=cross_cov, smoothed=run.T_world_cam, smoothed_cov=smoothed_cov
+    )
+    write_motions(tmp_path / "motions.npz", run)
+    back = read_motions(tmp_path / "motions.npz")
+    for origin in (0, 2):
+        np.testing.assert_array_equal(
+            back.drift_covariances_from(origin), run.drift_covariances_from(origin)
+        )
+
+
 def test_only_times_differ_between_runs(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
     write_motions(tmp_path / "a.npz", make_run(20))
     write_motions(tmp_path / "b.npz", make_run(20, hurry=1.5))
@@ -121,16 +139,16 @@ def test_the_same_run_gives_the_same_bytes(
         ({"stamps_ns": None}, "stamps_ns is missing"),
         ({"T_curr_prev": np.zeros((3, 4, 4))}, r"T_curr_prev has shape \(3, 4, 4\)"),
         ({"cov": np.zeros((4, 6, 6))}, "cov of motion 0 is not positive definite"),
-        ({"cov": np.full((4, 6, 6), np.nan)}, "cov holds something that is no finite number"),
-        ({"status": np.array(["a"] * 4)}, "status holds something"),
+        ({"cov": np.full((4, 6, 6), np.nan)}, "cov holds values that are not finite numbers"),
+        ({"status": np.array(["a"] * 4)}, "status holds values"),
         ({"num_out_of_domain": np.zeros(3)}, r"num_out_of_domain has shape \(3,\)"),
         ({"noise_factor": np.array([1.0, 0.5, 0.0, 0.5])}, "noise_factor holds a factor"),
         ({"rejected_flow": np.zeros(2)}, "rejected_flow has shape"),
         ({"T_world_cam": np.zeros((4, 4, 4))}, r"T_world_cam has shape \(4, 4, 4\)"),
-        ({"sensors": np.zeros(2)}, "sensors is no text"),
+        ({"sensors": np.zeros(2)}, "sensors is not text"),
         ({"sensors": np.array("[]")}, "sensors does not say how sensors were used"),
         ({"sensors": np.array('{"gps": {"used": "x"}}')}, "sensors does not say how"),
-        ({"stopped": np.array(["a"])}, "stopped is no text"),
+        ({"stopped": np.array(["a"])}, "stopped is not text"),
     ],
 )
 def test_malformed_contents(

@@ -34,7 +34,7 @@ CORRELATED = 20.0
 """Number of features that count as one, as in the rig's calibration."""
 NOTICEABLE = 0.01
 """Least |ε| that is reported: path length and rotations are off by about this ratio."""
-LENSES_FEIGN = 0.04
+LARGEST_BY_LENSES = 0.04
 """|ε| that remaining lens distortion can cause: up to 0.035 on KITTI, whose focal length is right
 within a percent according to the true rotations."""
 LEAST_RATIO = 3.0
@@ -154,6 +154,6 @@ class FocalLengthError:
         return abs(self.log_ratio) > max(NOTICEABLE, LEAST_RATIO * self.sigma)
 
     @property
-    def is_beyond_lenses(self) -> bool:
+    def exceeds_lenses(self) -> bool:
         """Whether the contradiction is larger than remaining lens distortion can cause."""
-        return self.is_noticeable and abs(self.log_ratio) > LENSES_FEIGN
+        return self.is_noticeable and abs(self.log_ratio) > LARGEST_BY_LENSES

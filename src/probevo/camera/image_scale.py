@@ -32,7 +32,7 @@ class ImageScale:
             where: the calibration, for the message.
 
         Raises:
-            InputError: the two have not the same shape, so that these are others, or cropped.
+            InputError: their aspect ratios differ, so that these are other images, or cropped.
         """
         along_u = size_px[0] / calibrated_px[0]
         along_v = size_px[1] / calibrated_px[1]
@@ -40,9 +40,9 @@ class ImageScale:
         if differs * calibrated_px[0] > ROUNDING_PX and differs * calibrated_px[1] > ROUNDING_PX:
             what = (
                 f"it is for images of {calibrated_px[0]}×{calibrated_px[1]} px; these, of"
-                f" {size_px[0]}×{size_px[1]} px, have another shape."
+                f" {size_px[0]}×{size_px[1]} px, have a different aspect ratio."
             )
-            raise InputError(where, what, "Scaled images keep it; are these cropped?")
+            raise InputError(where, what, "Scaling keeps it: were these images cropped?")
         return ImageScale(along_u, along_v)
 
     def place(self, u_px: float, v_px: float) -> tuple[float, float]:

@@ -50,7 +50,7 @@ class PinholeCamera:
             where: the calibration, for the message.
 
         Raises:
-            InputError: the scaled images have another shape.
+            InputError: the scaled images have a different aspect ratio.
         """
         scale = ImageScale.between(self.size_px, size_px, where)
         intrinsics = scale.intrinsics(self.fu_px, self.fv_px, self.cu_px, self.cv_px)
@@ -184,7 +184,7 @@ class Rectification:
         """Rectify a pair of raw images, [height, width] each.
 
         Raises:
-            InputError: an image has another size than the calibration.
+            InputError: the size of an image differs from the calibration's.
         """
         for name, image in (("left", left), ("right", right)):
             if image.shape[1::-1] != self.camera.size_px:

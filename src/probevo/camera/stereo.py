@@ -64,7 +64,8 @@ class StereoCamera:
             where: the calibration, for the message.
 
         Raises:
-            InputError: the size of the camera's own images is not known, or has another shape.
+            InputError: the size of the camera's own images is not known, or has a different aspect
+                ratio.
         """
         if self.size_px is None:
             raise InputError(where, "the size of its images is not known.")

@@ -39,7 +39,7 @@ class CompareArguments:
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="SEQUENCE…", help_behavior_hint=""),
     ]
-    """Folders of the recordings, or tracks files (.npz)."""
+    """Folders of the recordings, or tracks files (.npz). How to open them holds for all."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results. Files of the same name are replaced; runs of earlier comparisons are
     kept."""
@@ -123,7 +123,8 @@ def open_recordings(paths: Sequence[Path], settings: ReadSettings | None = None)
     """Open the recordings and give each a unique name.
 
     Raises:
-        InputError: none is given, or one is given twice, is too short, or cannot be opened.
+        InputError: none is given, or one is given twice, is too short, or cannot be opened, or one
+            truth is given for several.
     """
     from probevo.output.comparison.comparison import distinct_labels
     from probevo.sequences import open_sequence
@@ -136,6 +137,10 @@ def open_recordings(paths: Sequence[Path], settings: ReadSettings | None = None)
             "Give one or more: `probevo compare SEQUENCE --out DIR`.",
         )
     settings = settings or ReadSettings()
+    if settings.truth is not None and len(paths) > 1:
+        what = f"{settings.truth} would be the truth of {len(paths)} recordings."
+        cure = "Put a poses.txt into the folder of each, or compare on one at a time."
+        raise InputError("--truth", what, cure)
     opened = [open_sequence(path, settings.format, **settings.format_options()) for path in paths]
     for sequence in opened:
         if len(sequence) < 2:
@@ -210,6 +215,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     from probevo.output.comparison.comparison import numbered
     from probevo.run_checks import check_run
     from probevo.sensor_kinds import load_sensors
+    from probevo.storage.files import name_as_text
 
     models = {
         estimator.name: noise_model(estimator.noise, others=(AGGRESSIVE,))
@@ -233,7 +239,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
                 estimator,
                 config,
                 out=out / "runs" / folder,
-                learned_from_it=path.name in learned_from(model),
+                learned_from_it=name_as_text(path) in learned_from(model),
             )
         )
     return jobs

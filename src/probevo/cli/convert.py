@@ -65,14 +65,16 @@ def main(words: list[str]) -> None:
         with _as_only_writer(arguments.out):  # refuses the file, once what a kill has left is gone
             pass
     _check_new(arguments.out)
-    if (arguments.source / MOTIONS).is_file():
+    is_run = (arguments.source / MOTIONS).is_file()
+    _check_flags(arguments, ros, is_run=is_run)
+    if is_run:
         with _as_only_writer(arguments.out):
             _convert_run(arguments, ros)
         return
     is_bag = arguments.out.suffix in BAG_SUFFIXES
     if arguments.compressed and not is_bag:
         cure = "Images in a folder are PNG files anyway."
-        raise InputError("--compressed", f"{arguments.out} is no bag.", cure)
+        raise InputError("--compressed", f"{arguments.out} is not a bag.", cure)
     if is_bag:
         from probevo.output.ros.bag_writer import check_bag_path
 
@@ -92,18 +94,42 @@ def main(words: list[str]) -> None:
         print("Masks have no place in a bag: give them with --mask-left and --mask-right.")
 
 
+def _check_flags(arguments: ConvertArguments, ros: RosSettings, *, is_run: bool) -> None:
+    """Refuse flags that would have no effect.
+
+    Raises:
+        InputError: names the flag.
+    """
+    if is_run:
+        is_given = {
+            "--compressed": arguments.compressed,
+            "--max-frames": arguments.max_frames is not None,
+        }
+        whose = "a recording"
+    else:
+        is_given = {"--ros": ros != RosSettings()}
+        whose = "the folder of a run"
+    for flag, is_there in is_given.items():
+        if is_there:
+            what = f"is for {whose}, which {arguments.source} is not."
+            raise InputError(flag, what, "Leave it out.")
+
+
 def _check_new(out: Path) -> None:
     """Refuse to replace a file: it may be a recording, even the source.
 
     Raises:
-        InputError: it exists.
+        InputError: it exists, or is the root of all.
     """
+    if not out.absolute().name:
+        raise InputError("--out", f"{out} cannot be written to.", "Name a folder below it.")
     if out.is_file():
         raise InputError("--out", f"{out} exists.", "Name another file, or remove that one.")
 
 
 def _work_folder(out: Path) -> Path:
-    return out.with_name(f"{out.name}.work")
+    whole = out.absolute()  # "." has no name
+    return whole.with_name(f"{whole.name}.work")
 
 
 @contextmanager
@@ -139,7 +165,7 @@ def _write(
     from probevo.output.ros.recording_bag import write_recording_bag
 
     num_done = count(1)
-    with progress_bar(sequence.path.name, "reading") as show:
+    with progress_bar(sequence.path.resolve().name, "reading") as show:
 
         def on_frame(index: int) -> None:
             """Count a frame that is written."""
@@ -222,7 +248,7 @@ def _write_for_viewer(result: RunResult, arguments: ConvertArguments) -> None:
         what = f"the run has {len(result)} frames, and {config.sequence} only {len(sequence)}."
         raise InputError(settings_file, what, "Put the recording back as it was, or elsewhere.")
     num_done = count(1)
-    with progress_bar(sequence.path.name, "reading") as show:
+    with progress_bar(sequence.path.resolve().name, "reading") as show:
         is_same = write_viewer_file_again(
             arguments.out,
             result,

@@ -63,7 +63,7 @@ def main(words: list[str]) -> None:
     noise = as_noise(arguments.noise)
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     config = {"estimator": arguments.estimator, "any_camera": arguments.any_camera}
-    with progress_bar(sequence.path.name, getting_ready()) as show:
+    with progress_bar(sequence.path.resolve().name, getting_ready()) as show:
         found = compare_halves(
             sequence, noise, config, max_frames=arguments.max_frames, on_progress=show
         )

@@ -14,11 +14,11 @@ from probevo.cli.text import columns
 from probevo.errors import InputError
 
 if TYPE_CHECKING:
-    from probevo.arrays import FloatArray, IntArray
+    from probevo.arrays import BoolArray, FloatArray, IntArray
 
 PoseFormat = Literal["kitti", "tum"]
 COLUMNS: dict[int, PoseFormat] = {12: "kitti", 8: "tum"}
-"""Number of columns of each format."""
+"""Format of a file by its number of columns."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class Trajectory:
     """See ``RunResult.faults``; None of a trajectory that is no run."""
     stopped: str | None = None
     """See ``RunResult.stopped``."""
+    is_ok: BoolArray | None = None
+    """Whether each step was solved, [N-1]; None if it is not a run."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, [N, 4, 4], m; None if it is not a run with a window."""
 
@@ -98,10 +100,12 @@ def main(words: list[str]) -> None:
     T_curr_prev = estimate.T_curr_prev
     if T_curr_prev is None:
         T_curr_prev = relative_motions(estimate.T_world_cam)
-    are_all_ok = np.ones(len(T_curr_prev), dtype=bool)
+    is_ok = estimate.is_ok
+    if is_ok is None:
+        is_ok = np.ones(len(T_curr_prev), np.bool_)
     for warning in (
         truth_warning(T_curr_prev, T_world_cam_true),
-        step_length_warning(T_curr_prev, are_all_ok, T_world_cam_true),
+        step_length_warning(T_curr_prev, is_ok, T_world_cam_true),
     ):
         if warning is not None:
             print(f"probevo: warning: {warning}", file=sys.stderr)
@@ -117,6 +121,7 @@ def read_run(folder: Path) -> Trajectory:
         InputError: the folder has no motions, or one of the files is damaged.
     """
     from probevo.cli.convert import with_smoothed
+    from probevo.estimation.motion_estimate import Status
     from probevo.output.motions_file import read_motions
 
     path = folder / "motions.npz"
@@ -136,6 +141,7 @@ def read_run(folder: Path) -> Trajectory:
         out_of_domain=result.out_of_domain,
         faults=result.faults,
         stopped=result.stopped,
+        is_ok=result.status == Status.OK,
         smoothed=result.smoothed,
     )
 
@@ -248,4 +254,6 @@ def _check_numbers(estimate: Trajectory, truth: Trajectory) -> str:
             " to match them by.",
             "Give the folder of the run, or its trajectory.tum, instead.",
         )
-    return f"Compared with the first {num_frames} of {num_poses} true poses: the run has no more."
+    return (
+        f"Compared with the first {num_frames} of {num_poses} true poses: the estimate has no more."
+    )

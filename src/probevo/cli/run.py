@@ -75,7 +75,7 @@ def main(words: list[str]) -> None:
     for warning in reader_warnings(sequence):
         print(f"probevo: warning: {warning}", file=sys.stderr)
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
-    lines = summary(run, arguments.out, written_besides(settings))
+    lines = summary(run, arguments.out, extra_outputs(settings))
     print("\n".join(lines), flush=True)
     for warning in run_warnings(run.result, run.truth).values():
         print(f"probevo: warning: {warning}", file=sys.stderr)
@@ -164,13 +164,13 @@ def run_with_progress(
     keep_freed_memory()
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     num_done = count(1)
-    with progress_bar(name or sequence.path.name, getting_ready()) as show:
+    with progress_bar(name or sequence.path.resolve().name, getting_ready()) as show:
         return run_sequence(
             sequence, config, out, on_step=lambda _: show(next(num_done), num_frames)
         )
 
 
-def written_besides(settings: RunConfig) -> list[tuple[str, Path]]:
+def extra_outputs(settings: RunConfig) -> list[tuple[str, Path]]:
     """Return what the user asked for besides the folder of results, with its file."""
     written = []
     if settings.write is not None:

@@ -94,7 +94,7 @@ def _run_with_progress(
 
     cv2.setNumThreads(1)
     keep_freed_memory()
-    with progress_bar(sequence.path.name, getting_ready()) as show:
+    with progress_bar(sequence.path.resolve().name, getting_ready()) as show:
         return stress(sequence, config, grid, out=out, on_frame=show)
 
 

@@ -42,6 +42,6 @@ def few_frames_warning(model: LearnedNoiseModel) -> str:
         return ""
     return (
         f"it was learned from {origin(model.training)}. From so few, a model may fit this drive and"
-        " gain nothing on others. Give more recordings of the same camera, some hundred frames"
+        " gain nothing on others. Give more recordings of the same camera, a few hundred frames"
         " with what will be met later; probevo compare shows on one left out what is gained."
     )

@@ -1,4 +1,4 @@
-"""How large the errors of this recording's features are against their noise model, learned on line.
+"""How large the errors of this recording's features are against their noise model, learned online.
 
 A model with a default scale describes no camera and scene in particular. If all its variances are
 too large by one factor, so is the covariance of the motion; and outliers keep too much weight,

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.evaluation.clustered_regression import two_sided_p
-from probevo.measurements.preintegration import LONGEST_HOLE
+from probevo.measurements.preintegration import HELD_NS, LONGEST_HOLE
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import LARGEST_FORCE_M_S2
@@ -55,7 +55,7 @@ class VelocityChange:
     turn: FloatArray
     """∫ w C dt, which its bias is multiplied by, [3, 3], s."""
     start_s: float
-    """Begin of the first interval, since the first frame."""
+    """Start of the first interval, since the first frame."""
     weight_s: float
     """∫ w dt, which gravity is multiplied by."""
 
@@ -159,10 +159,12 @@ def _velocity_change(
     inside = slice(*np.searchsorted(samples.time_s, [start_s, end_s]))
     t_s = samples.time_s[inside]
     force = samples.force_m_s2[inside]
-    if len(t_s) < FEWEST_SAMPLES or not (np.abs(force) < LARGEST_FORCE_M_S2).all():
+    if not (np.abs(force) < LARGEST_FORCE_M_S2).all():
         return None
     gaps_s = np.diff(np.concatenate([[start_s], t_s, [end_s]]))
-    if gaps_s.max() > LONGEST_HOLE * np.median(gaps_s):
+    # A held sample has two stamps, at both ends of its interval; it counts once.
+    apart_s = gaps_s[gaps_s > 1e-9 * HELD_NS]
+    if len(apart_s) <= FEWEST_SAMPLES or gaps_s.max() > LONGEST_HOLE * np.median(apart_s):
         return None
     first_s = middle_s - start_s
     second_s = end_s - middle_s

@@ -15,12 +15,17 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.clustered_regression import two_sided_p
 from probevo.evaluation.gyro_check import LAG, MOUNTING, SCALE, check_gyro
 from probevo.evaluation.row_check import DELAY, RowSamples, check_rows
+from probevo.geometry import se3
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 
 GRAVITY_M_S2 = 9.81
 GRAVITY_SIGMA_M_S2 = 0.02
 """Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
+AVERAGED_NS = 500_000_000
+"""Time over which forces are averaged before their lengths are taken."""
+MOST_DOF = 1e6
+"""Degrees of freedom beyond which Student's t is a Gaussian."""
 SELF_CALIBRATED = (
     "Rows and disparity: the odometry corrects these errors by itself, as far as they are smooth"
     " over the image. Calibrate anew where one exceeds a pixel, with the board in the corners, too."
@@ -157,21 +162,25 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
         The scale; None if too few segments have truth at both ends, or the camera is at rest.
     """
     ends = np.arange(0, len(T_world_cam), max(int(np.sqrt(len(T_world_cam))), 1))
-    distances = [
-        np.linalg.norm(np.diff(T[ends, :3, 3], axis=0), axis=1)
-        for T in (T_world_cam, T_world_cam_true)
-    ]
-    known = np.isfinite(distances[1])
-    estimated = distances[0][known]
-    true = distances[1][known]
-    if len(true) < FEWEST_BLOCKS or not true.sum() > 0.0:
+    # Where the camera is at the end of a segment, in its own frame at the start, [M, 3] each
+    moved, moved_true = (
+        (se3.inverse(T[ends[:-1]]) @ T[ends[1:]])[:, :3, 3] for T in (T_world_cam, T_world_cam_true)
+    )
+    known = np.isfinite(moved_true).all(axis=1)
+    estimated = np.linalg.norm(moved[known], axis=1)
+    true = np.linalg.norm(moved_true[known], axis=1)
+    together = float(np.sum(moved[known] * moved_true[known]))
+    if len(true) < FEWEST_BLOCKS or not together > 0.0:
         return None
+    # Where both are mostly noise, lengths compare the noise. The regressions of each on the other
+    # enclose the scale: they are apart as far as noise decides.
+    dilution = 0.5 * float(np.sum(estimated**2) / together - together / np.sum(true**2))
     # Sums instead of a mean of ratios: a segment at rest has no ratio.
     ratio = float(estimated.sum() / true.sum())
     count = len(true)
     # Standard deviation of a ratio of sums, by the scatter of the residuals of the segments.
     scatter = float(np.sum((estimated - ratio * true) ** 2)) * count / (count - 1)
-    sigma = max(np.sqrt(scatter) / float(true.sum()), 1e-12)
+    sigma = float(np.hypot(max(np.sqrt(scatter) / float(true.sum()), 1e-12), dilution))
     cure = (
         f"distances are {ratio:.4f} of the true ones. If the truth is right, divide baseline_m by"
         f" {ratio:.4f}; a focal length that is too long makes distances ahead too long, too."
@@ -231,13 +240,14 @@ def gyro_quantities(
         value = float(np.rad2deg(regression.values[k]))
         sigma = float(np.rad2deg(regression.sigma[k]))
         cure = (
-            f"the IMU is turned by {value:+.2f}° about the camera's {axis} axis against T_cam_imu."
-            " Write the rotation below instead; its inverse is the usual mistake where it is large."
+            f"the IMU is turned by {value:+.2f}° about the camera's {axis} axis, relative to"
+            " T_cam_imu. Write the rotation below instead; where it is large, its inverse is the"
+            " usual mistake."
         )
         p_value = regression.p_value(value, sigma)
         name = f"gyro, mounting about {axis}"
         quantities.append(Quantity(name, value, sigma, "°", p_value=p_value, cure=cure))
-    # Unit: the images' rates are 1 + scale times those of the gyro.
+    # Unit: the images' rates are 1 + scale times those of the gyro, which are a factor too large.
     scale = float(regression.values[SCALE])
     factor = 1.0 / (1.0 + scale) if abs(1.0 + scale) > 1e-9 else np.inf
     cure = f"its rates are {factor:.4g} times those of the images."
@@ -249,14 +259,21 @@ def gyro_quantities(
         cure += " Is the gyro in rad/s, and the focal length in pixels of these images?"
     sigma = float(np.hypot(regression.sigma[SCALE], found.attenuation * (1.0 + scale)))
     p_value = regression.p_value(scale, sigma)
-    unit = Quantity("gyro, unit", -100.0 * scale, 100.0 * sigma, "%", p_value=p_value, cure=cure)
+    unit = Quantity(
+        "gyro, scale",
+        100.0 * (factor - 1.0),
+        100.0 * sigma * factor**2,
+        "%",
+        p_value=p_value,
+        cure=cure,
+    )
     # The lag is what has to be added to the stamps, and the offset what was taken off them.
     late_ms = -1e3 * float(regression.values[LAG])
     sigma_ms = 1e3 * float(regression.sigma[LAG])
     offset_s = calibration.time_offset_s + 1e-3 * late_ms
     cure = (
-        f"its stamps are {late_ms:+.1f} ms late against the images'. Set time_offset_s (Kalibr:"
-        f" timeshift_cam_imu) to {offset_s:.4f}."
+        f"its stamps are {late_ms:+.1f} ms late relative to those of the images. Set time_offset_s"
+        f" (Kalibr: timeshift_cam_imu) to {offset_s:.4f}."
     )
     p_value = regression.p_value(late_ms, sigma_ms)
     clock = Quantity("IMU's clock is late", late_ms, sigma_ms, "ms", p_value=p_value, cure=cure)
@@ -268,25 +285,44 @@ def gravity_quantity(stream: ImuStream, calibration: ImuCalibration) -> Quantity
 
     A vehicle neither flies away nor falls, so that the mean over a recording is gravity and bias.
     """
-    force = stream.accel_m_s2[np.isfinite(stream.accel_m_s2).all(axis=1)]
+    is_known = np.isfinite(stream.accel_m_s2).all(axis=1)
+    force = _vibrations_averaged(stream.stamps_ns[is_known], stream.accel_m_s2[is_known])
     if len(force) < FEWEST_BLOCKS:
         return None
-    length = float(np.linalg.norm(force, axis=1).mean())
+    lengths = np.linalg.norm(force, axis=1)
+    length = float(lengths.mean())
     # Three independent errors: the bias, gravity at this place, and the scatter of the mean, from
     # five parts of the recording.
-    parts = np.array_split(np.linalg.norm(force, axis=1), FEWEST_BLOCKS)
+    parts = np.array_split(lengths, FEWEST_BLOCKS)
     scatter = float(np.std([part.mean() for part in parts], ddof=1)) / np.sqrt(FEWEST_BLOCKS)
     sigma = float(
         np.hypot(np.hypot(calibration.accel_bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter)
     )
+    # Only the scatter is estimated, with four degrees of freedom; the others are known. The sum has
+    # those of Welch and Satterthwaite, σ⁴ / (scatter⁴ / 4).
+    dof = (FEWEST_BLOCKS - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MOST_DOF)
     cure = f"the mean specific force is {length:.3g} m/s² long. "
     if length < 2.0:
         cure += "It is in g: multiply by 9.81. Near zero, gravity has been taken off it."
     else:
         cure += "Is it in m/s², and is each axis scaled alike?"
     value = length - GRAVITY_M_S2
-    p_value = two_sided_p(value / sigma, FEWEST_BLOCKS - 1)
+    p_value = two_sided_p(value / sigma, dof)
     return Quantity("accelerometer, gravity", value, sigma, "m/s²", p_value=p_value, cure=cure)
+
+
+def _vibrations_averaged(stamps_ns: IntArray, force_m_s2: FloatArray) -> FloatArray:
+    """Return the mean specific force, [M, 3], over each half second that has samples.
+
+    The length of a mean is that of gravity, while the mean length is larger by what vibrates.
+    """
+    if len(stamps_ns) == 0:
+        return np.zeros((0, 3))
+    half_seconds = (stamps_ns - stamps_ns[0]) // AVERAGED_NS
+    _, first = np.unique(half_seconds, return_index=True)
+    counts = np.diff(np.append(first, len(stamps_ns)))
+    averaged: FloatArray = np.add.reduceat(force_m_s2, first, axis=0) / counts[:, None]
+    return averaged
 
 
 def _edges(camera: StereoCamera, frames: list[RowSamples]) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.evaluation.clustered_regression import Regression, regress
 from probevo.geometry import so3
 from probevo.measurements.gyro import integrate_gyro
+from probevo.measurements.preintegration import HELD_NS
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 
@@ -107,10 +108,11 @@ def check_gyro(
     gyro_rad = problem.gyro_rotations(float(np.clip(best.values[LAG], LAGS_S[0], LAGS_S[-1])))
     covered = _covered(gyro_rad)
     # Regression dilution: variance of the noise, three axes, over that of the rotations without
-    # their median rate.
-    swing = _without_mean(gyro_rad[covered], problem.duration_s[covered])
-    variance = calibration.gyro_noise_rad_s_sqrt_hz**2 * problem.duration_s[covered]
-    attenuation = float(3.0 * variance.sum() / max(float(np.sum(swing**2)), _SAME_RAD**2))
+    # their median rate. Rotors and engines shake a gyro more than its data sheet says.
+    swing = _without_median_rate(gyro_rad[covered], problem.duration_s[covered])
+    per_second = max(3.0 * calibration.gyro_noise_rad_s_sqrt_hz**2, _white_noise_rad2_s(stream))
+    noise = per_second * float(problem.duration_s[covered].sum())
+    attenuation = noise / max(float(np.sum(swing**2)), _SAME_RAD**2)
     return GyroCheck(regression=best, C_cam_imu=turned, attenuation=min(attenuation, 1.0))
 
 
@@ -149,8 +151,8 @@ class _Problem:
                 start = np.zeros(8)
                 start[LAG] = lag_s
                 # Without the median rate the bias, which is not known yet, drops out.
-                gyro = _without_mean(gyro_rad[covered], self.duration_s[covered])
-                image = _without_mean(self.rotation_rad[covered], self.duration_s[covered])
+                gyro = _without_median_rate(gyro_rad[covered], self.duration_s[covered])
+                image = _without_median_rate(self.rotation_rad[covered], self.duration_s[covered])
                 if sign:
                     lengths = [np.median(np.linalg.norm(each, axis=1)) for each in (image, gyro)]
                     start[SCALE] = sign * lengths[0] / max(lengths[1], _SAME_RAD) - 1.0
@@ -216,12 +218,28 @@ class _Problem:
         return regression
 
 
+def _white_noise_rad2_s(stream: ImuStream) -> float:
+    """Return by how much the variance of the integrated samples grows, all axes together, rad²/s.
+
+    It follows from second differences of the samples: of white noise, they have six times its
+    variance. Where samples are so rare that the motion itself bends between them, it is too large.
+    """
+    apart = np.concatenate([[True], np.diff(stream.stamps_ns) > HELD_NS])
+    is_known = apart & np.isfinite(stream.gyro_rad_s).all(axis=1)
+    rates = stream.gyro_rad_s[is_known]
+    if len(rates) < FEWEST_STEPS:
+        return 0.0
+    variance = float(np.mean(np.sum(np.diff(rates, n=2, axis=0) ** 2, axis=1))) / 6.0
+    period_s = 1e-9 * float(np.median(np.diff(stream.stamps_ns[is_known])))
+    return variance * period_s
+
+
 def _covered(rotation_rad: FloatArray) -> np.ndarray:
     """Tell which of the rotations, [K, 3], are known."""
     return np.asarray(np.isfinite(rotation_rad).all(axis=1))
 
 
-def _without_mean(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
+def _without_median_rate(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
     """Subtract the median rate, and with it the bias, from rotations, [K, 3]."""
     return np.asarray(rotation_rad - duration_s * np.median(rotation_rad / duration_s, axis=0))
 

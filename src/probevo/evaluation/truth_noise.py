@@ -9,8 +9,12 @@ from probevo.geometry import se3
 
 FEWEST_STEPS = 10
 """Least number of second differences for an estimate."""
-SECOND_DIFFERENCE_GAIN = 6.0
-"""Variance of ξ_k−1 − 2 ξ_k + ξ_k+1 against that of ξ, for white noise: 1 + 4 + 1."""
+SECOND_DIFFERENCE_GAIN = 10.0
+"""Variance of ξ_k−1 − 2 ξ_k + ξ_k+1 over that of ξ, for poses with white noise n, as of GPS.
+
+With ξ_k = n_k+1 − n_k, which has twice the variance of n, it is n_k+2 − 3 n_k+1 + 3 n_k − n_k−1:
+(1 + 9 + 9 + 1) / 2. If the motions themselves had white noise it would be 6, and the estimate is
+then too small."""
 
 
 def truth_noise_ratio(
@@ -21,7 +25,8 @@ def truth_noise_ratio(
     A vehicle moves smoothly, and its vibrations are in the truth and in the estimate. If the second
     differences of the true motions are larger than those of the estimates, the excess is therefore
     noise of the truth. Above a ratio of 1, the errors of steps are mostly those of the truth, and
-    the consistency of the covariance cannot be tested. Smoothed truth gives too small a ratio.
+    the consistency of the covariance cannot be tested. Smoothed truth gives too small a ratio, so
+    that it is a lower bound.
 
     Args:
         T_curr_prev: estimates, [K, 4, 4], m.

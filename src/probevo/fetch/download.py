@@ -31,6 +31,8 @@ TIMEOUT_S = 30.0
 CHUNK = 1 << 20
 ATTEMPTS = 5
 """How often a URL may fail in a row, without a byte arriving, before the next one is tried."""
+BUSY = (http.client.REQUEST_TIMEOUT, http.client.TOO_MANY_REQUESTS)
+"""Answers after which a host may be asked again, besides those of a server that has failed."""
 LONGEST_CHECKSUM = 4096
 """Bytes of a file that holds a checksum."""
 NO_NETWORK = (OSError, http.client.HTTPException)
@@ -124,11 +126,12 @@ def _transfer(url: str, path: Path, on_progress: Progress, *, wait_s: float) -> 
             _receive(url, partial, on_progress)
             break
         except urllib.error.HTTPError as error:
-            if error.code != http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
+            if error.code == http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
+                if _is_complete(error, before):
+                    break
+                _discard(partial)
+            elif error.code not in BUSY and error.code < http.client.INTERNAL_SERVER_ERROR:
                 raise
-            if _is_complete(error, before):
-                break
-            _discard(partial)
             failures += 1
             last: Exception = error
         except NO_NETWORK as error:

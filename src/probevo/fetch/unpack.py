@@ -15,8 +15,12 @@ from typing import IO, NamedTuple
 from probevo.errors import InputError
 
 DAMAGED = "Remove it, and fetch it again."
-FAULTS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError)
-"""What the libraries raise for an archive that is damaged, or of a kind that they do not know."""
+FAULTS = (
+    *(zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError),
+    *(NotImplementedError, RuntimeError),
+)
+"""What the libraries raise for an archive that is damaged, encrypted, or of a kind that they do not
+know."""
 
 
 def unpack_all(

@@ -49,7 +49,7 @@ def check_picture_path(path: Path) -> None:
     if path.suffix.lower() not in UNDATED:
         raise InputError(
             "--out",
-            f"{path.name} is no picture that can be written.",
+            f"{path.name} is not a picture format that can be written.",
             f"Let it end in one of {', '.join(UNDATED)}.",
         )
     if path.is_dir():

@@ -86,6 +86,7 @@ _OPTIONAL = {
     "num_used": _Optional((_STEPS,), np.asarray),
     "num_out_of_domain": _Optional((_STEPS,), np.asarray),
     "noise_factor": _Optional((_STEPS,), _factors),
+    "pose_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "right_delay_s": _Optional((), float),
@@ -232,7 +233,7 @@ def _read_optional(
     if optional.shape is None:
         array = arrays[name]
         if array.shape != () or array.dtype.kind != "U":
-            raise InputError(path, f"{name} is no text", _CURE)
+            raise InputError(path, f"{name} is not text", _CURE)
     else:
         sizes = {_STEPS: steps, _FRAMES: frames}
         shape = tuple(sizes.get(size, size) for size in optional.shape)
@@ -265,7 +266,7 @@ def _take(
     if array.shape != shape and not (shape is None and array.ndim == 1):
         raise InputError(path, f"{name} has shape {array.shape}, expected {shape or '[N]'}", _CURE)
     if array.dtype.kind not in "if" or not np.isfinite(array).all():
-        raise InputError(path, f"{name} holds something that is no finite number", _CURE)
+        raise InputError(path, f"{name} holds values that are not finite numbers", _CURE)
     return array
 
 

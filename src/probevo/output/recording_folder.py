@@ -29,7 +29,7 @@ def check_new_folder(folder: Path) -> None:
         InputError: it does, or it is a file.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(folder, "this is no empty folder.", "Name a folder that is to be made.")
+        raise InputError(folder, "this folder is not empty.", "Name a new folder.")
 
 
 def write_recording_folder(

@@ -115,6 +115,10 @@ class RunResult:
     noise_factor: FloatArray | None = None
     """Factor of the noise model's variances in each step, [N-1] (``NoiseScale``); None in files of
     versions that did not store it."""
+    pose_cov: FloatArray | None = None
+    """Covariance of the left perturbation of T_cam_world of each frame, [N, 6, 6], m and rad, where
+    sensors have corrected the poses (``MotionEstimate.pose_cov``); None without sensors, and in
+    files of versions that did not store it."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
@@ -179,7 +183,9 @@ class RunResult:
     def drift_covariances_from(self, origin: int) -> FloatArray:
         """Compute the covariances of all poses from a frame on, relative to that frame.
 
-        The steps of a window correct the path before them. From a later frame on, these corrections
+        What sensors of the pose say is known relative to the first frame alone. From a later one
+        on, the motions are compounded as if there were no such sensors, which is conservative. The
+        steps of a window correct the path before them. From a later frame on, these corrections
         cannot be distinguished from new errors, and count as such, which is conservative.
 
         Args:
@@ -188,8 +194,12 @@ class RunResult:
         Returns:
             Covariance of the left perturbation of T_cam_world, [N − origin, 6, 6]; 0 at the first.
         """
+        if self.pose_cov is not None and origin == 0:
+            return self.pose_cov
         cross_cov = self.path_cross_cov[origin:]
-        if self.smoothed is not None and origin > 0:
+        # What was read from a file has the smoothed covariances, but not the smoothed poses.
+        is_smoothed = self.smoothed is not None or self.smoothed_cov is not None
+        if is_smoothed and origin > 0:
             cross_cov = np.zeros_like(cross_cov)
         return drift_covariances(
             self.T_curr_prev[origin:],
@@ -290,6 +300,8 @@ class RunRecorder:
         self._sensors: dict[str, SensorUse] = {}
         self._poses = Rows(np.float64, 16)
         """T_world_cam of each frame, where sensors correct it."""
+        self._pose_covs = Rows(np.float64, 36)
+        """Covariance of each of these."""
 
     def add(
         self,
@@ -349,6 +361,7 @@ class RunRecorder:
         for outcome in motion.sensors:
             use = self._sensors.get(outcome.name, SensorUse())
             self._sensors[outcome.name] = use.and_then(outcome, len(self._counts) - 1)
+        self._pose_covs.add(motion.pose_cov.ravel())
         self._poses.add(motion.T_world_cam.ravel())
 
     def result(self) -> RunResult:
@@ -370,6 +383,9 @@ class RunRecorder:
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
             common_mode=numbers[:, _COMMON_MODE].reshape(-1, 6, COMMON_MODE_COLUMNS),
             path_cross_cov=numbers[:, _COMMON_MODE.stop : -2].reshape(-1, 6, 6),
+            pose_cov=self._pose_covs.table()[:num_frames].reshape(-1, 6, 6)
+            if self._sensors
+            else None,
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,

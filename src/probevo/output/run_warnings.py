@@ -97,7 +97,7 @@ def timing_warning(right_late_frames: int) -> str | None:
 
 def focal_warning(error: FocalLengthError | None) -> str | None:
     """Warn of a focal length that the images contradict by more than a lens could; else None."""
-    if error is None or not error.is_beyond_lenses:
+    if error is None or not error.exceeds_lenses:
         return None
     longer = "longer" if error.percent > 0.0 else "shorter"
     return (

@@ -116,7 +116,7 @@ def compare_halves(
             )
         )
         earlier = frame.index - SPAN
-        if _has(one, earlier) and _has(other, earlier):
+        if earlier >= WARM_UP and _has(one, earlier) and _has(other, earlier):
             squared[SPAN].append(
                 _difference_squared(
                     one.relative(frame.index, earlier), other.relative(frame.index, earlier)
@@ -124,10 +124,13 @@ def compare_halves(
             )
     if len(squared[1]) < FEWEST:
         what = (
-            f"only {len(squared[1])} of {total} steps were solved by both halves of the features."
+            f"only {len(squared[1])} of {max(total - WARM_UP, 0)} steps that count were solved by"
+            " both halves of the features."
         )
         raise InputError(
-            sequence.path, what, f"Give a longer recording: {WARM_UP} frames do not count."
+            sequence.path,
+            what,
+            f"Give a longer recording: the first {WARM_UP} frames do not count.",
         )
     agreements = (Agreement(frames, np.array(found)) for frames, found in squared.items() if found)
     return HalvesCompared(total, num_solved, tuple(agreements))

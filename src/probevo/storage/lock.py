@@ -77,7 +77,7 @@ def _taken(path: Path) -> int:
             continue
         try:
             if not stat.S_ISREG(os.fstat(file).st_mode):
-                raise OSError(errno.EEXIST, f"{path.name} is no file")
+                raise OSError(errno.EEXIST, f"{path.name} is not a file")
             if not _is_locked_now(file):
                 raise InputError(
                     path.parent,

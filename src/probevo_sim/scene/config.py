@@ -143,7 +143,7 @@ class SceneConfig(Settings):
         le=1,
         description=(
             "How much the rig sways if a person or a drone carries it, at walking pace, instead of"
-            " a vehicle, which is 0; 1 turns it by about 100 °/s rms."
+            " a vehicle, which is 0; 1 turns it by about 125 °/s rms, 100 of them in yaw."
         ),
     )
     truth: TruthName = Field(

@@ -66,7 +66,7 @@ class Route:
         if not pieces or min(length for length, _ in pieces) <= 0 or lead_m < 0:
             raise InputError(
                 "route",
-                "the pieces and the lead are no road.",
+                "the pieces and the lead do not make a road.",
                 "Give pieces longer than 0, a lead ≥ 0.",
             )
         # The heading over a piece is the integral of its curvature: a polynomial of u = s / length,

@@ -40,7 +40,7 @@ REGION = 0.9973
 """Probability of the region of a step's error that is counted, 3σ of a normal number."""
 CELLS = "runs"
 """Folder of the finished runs, from which an interrupted command goes on."""
-_MOST_OUTSIDE = float(chdtri(6, 1.0 - REGION))
+_REGION_NEES = float(chdtri(6, 1.0 - REGION))
 
 
 @dataclass(frozen=True)
@@ -96,9 +96,9 @@ class Figures:
     rotation_sigma_rad: float | None
     outside: float | None
     """Share of the steps that are OK whose error lies outside of the region ``REGION``."""
-    dead_reckoned_m: float | None
+    not_ok_m: float | None
     """RMS of the error of the translation over the steps that are not OK; None without any."""
-    dead_reckoned_sigma_m: float | None
+    not_ok_sigma_m: float | None
     """RMS of what is claimed for it."""
 
     @property
@@ -281,7 +281,7 @@ def figures_of(preset: str, severity: float, runs: Items[StepErrors]) -> Figures
         values = np.concatenate([np.array(getattr(run, name), float) for run in runs])
         return np.asarray(values[chosen])
 
-    outside = together("nees", is_ok) > _MOST_OUTSIDE
+    outside = together("nees", is_ok) > _REGION_NEES
     return Figures(
         preset=preset,
         severity=severity,
@@ -292,8 +292,8 @@ def figures_of(preset: str, severity: float, runs: Items[StepErrors]) -> Figures
         rotation_rad=_rms_if_any(together("rotation_rad", is_ok)),
         rotation_sigma_rad=_rms_if_any(together("rotation_sigma_rad", is_ok)),
         outside=float(outside.mean()) if len(outside) else None,
-        dead_reckoned_m=_rms_if_any(together("translation_m", ~is_ok)),
-        dead_reckoned_sigma_m=_rms_if_any(together("translation_sigma_m", ~is_ok)),
+        not_ok_m=_rms_if_any(together("translation_m", ~is_ok)),
+        not_ok_sigma_m=_rms_if_any(together("translation_sigma_m", ~is_ok)),
     )
 
 

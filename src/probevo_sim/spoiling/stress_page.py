@@ -52,8 +52,8 @@ def stress_table(stress: Stress) -> Table:
             _times(figures.rotation_rad, _IN_DEG),
             _times(figures.rotation_sigma_rad, _IN_DEG),
             _times(figures.outside, 100.0),
-            figures.dead_reckoned_m,
-            figures.dead_reckoned_sigma_m,
+            figures.not_ok_m,
+            figures.not_ok_sigma_m,
             section=figures.preset,
         )
         for preset in stress.presets
@@ -176,7 +176,7 @@ def write_stress_page(path: Path, stress: Stress, title: str, facts: Mapping[str
         shares = row_panel(
             "Steps that are lost, and steps that are wrong",
             "Lost: not OK. Wrong: OK, but their error lies outside of their"
-            f" {100.0 * REGION:.2f} % region; dashed, what chance has there.",
+            f" {100.0 * REGION:.2f} % region; the dashed line is what chance alone would give.",
             [ok_figure(stress), outside_figure(stress)],
         )
     sections = [
@@ -187,7 +187,7 @@ def write_stress_page(path: Path, stress: Stress, title: str, facts: Mapping[str
             "Figures",
             [
                 "RMS of the steps that are OK; outside: their share outside of the"
-                f" {100.0 * REGION:.2f} % region. Right: the steps that are dead-reckoned."
+                f" {100.0 * REGION:.2f} % region. Right: the steps that are not OK."
             ],
             stress_table(stress),
         ),

@@ -179,7 +179,7 @@ def test_k_below_1_is_refused(k: int) -> None:
 
 @pytest.mark.parametrize("alpha", [0.0, -1.0, np.nan, np.inf])
 def test_an_alpha_that_is_no_positive_number_is_refused(alpha: float) -> None:
-    with pytest.raises(InputError, match="training data: an error α is no positive number"):
+    with pytest.raises(InputError, match="training data: an error α is not a positive number"):
         fitted(np.array([1.0, 2.0, alpha, 3.0]))
 
 

@@ -429,3 +429,31 @@ def test_a_file_is_called_without_its_suffix(tmp_path: Path) -> None:
 
 def test_names_that_come_again_are_numbered() -> None:
     assert numbered(["a", "b", "A", "a-2", "a"], taken=["B"]) == ["a", "b-2", "A-2", "a-2-2", "a-3"]
+
+
+def test_the_best_of_many_is_found(make_run: Callable[..., RunResult]) -> None:
+    """Of eleven, 55 pairs are compared, and p-values have to be as small as that asks for."""
+    right = make_run(60)
+    entries = []
+    for k in range(11):
+        motions = se3.exp(np.array([0, 0, 0, 0, 1e-3 * k, 0])) @ right.T_curr_prev
+        run = replace(right, T_curr_prev=motions, T_world_cam=se3.chain_motions(motions))
+        entries.append(replace(entry("fixed", run, right.T_world_cam), estimator=f"number {k}"))
+    ranking = Comparison(tuple(entries)).rankings["hill"]["final_error_m"]
+    assert ranking.leaders == {"number 0"}
+
+
+def test_paths_that_sensors_corrected_are_compared_as_they_are(
+    make_run: Callable[..., RunResult],
+) -> None:
+    """A sensor of poses changes the path, and leaves the motions as they were."""
+    right = make_run(30)
+    motions = se3.exp(np.array([0, 0, 0, 0, 0.002, 0])) @ right.T_curr_prev
+    alone = replace(right, T_curr_prev=motions, T_world_cam=se3.chain_motions(motions))
+    corrected = replace(alone, T_world_cam=right.T_world_cam)
+    entries = (
+        entry("fixed", alone, right.T_world_cam),
+        entry("student-t", corrected, right.T_world_cam),
+    )
+    ranking = Comparison(entries).rankings["hill"]["final_error_m"]
+    assert ranking.leaders == {"student-t"}

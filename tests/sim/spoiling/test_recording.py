@@ -144,5 +144,5 @@ def test_what_cannot_be_spoiled_is_refused(original: Path, tmp_path: Path) -> No
         list(spoiled(tracks))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="no empty folder"):
+    with pytest.raises(InputError, match="this folder is not empty"):
         write_spoiled(tmp_path / "full", spoiled(original))

@@ -102,8 +102,8 @@ def test_steps_that_are_not_ok_count_by_themselves() -> None:
     assert (figures.steps, figures.ok, figures.num_ok) == (2, 0.5, 1)
     assert figures.translation_m == pytest.approx(0.3)
     assert figures.outside == 1.0
-    assert figures.dead_reckoned_m == pytest.approx(4.0)
-    assert figures.dead_reckoned_sigma_m == pytest.approx(8.0)
+    assert figures.not_ok_m == pytest.approx(4.0)
+    assert figures.not_ok_sigma_m == pytest.approx(8.0)
     lost = figures_of("mixed", 0.5, [replace(steps, is_ok=(False, False))])
     assert lost.translation_m is None
     assert lost.outside is None
@@ -167,8 +167,8 @@ def test_values_of_the_logarithmic_axis_do_not_overlap(largest_m: float) -> None
             rotation_rad=1e-3,
             rotation_sigma_rad=1e-3,
             outside=0.0,
-            dead_reckoned_m=None,
-            dead_reckoned_sigma_m=None,
+            not_ok_m=None,
+            not_ok_sigma_m=None,
         )
         for severity, error_m in ((0.5, 1e-3), (1.0, largest_m))
     )

@@ -15,6 +15,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
+from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.comparison.significance import Ranking, rank, verdict
 from probevo.output.run_result import RunResult
 from probevo.output.table import Cell, Column, Row, Table
@@ -189,7 +190,8 @@ def _rankings(entries: Sequence[Entry]) -> dict[str, Ranking]:
     if len(whole) < 2 or whole[0].truth is None:
         return {}
     return rank(
-        {entry.estimator: entry.result.T_curr_prev for entry in whole},
+        # Of the path, which a sensor of poses may have corrected: it is the path that has errors.
+        {entry.estimator: relative_motions(entry.result.T_world_cam) for entry in whole},
         {entry.estimator: dict(zip(ERRORS, entry.figures, strict=False)) for entry in whole},
         whole[0].truth,
     )
@@ -205,7 +207,7 @@ def _report_link(entry: Entry, folder: Path) -> Cell:
     """Link to the report of a run, relative to a folder; an empty cell without a report."""
     if entry.report is None:
         return Cell("")
-    # A browser wants strokes whatever the system's separator, and signs such as # and % quoted.
+    # A browser wants slashes on every system, and characters such as # and % percent-encoded.
     path = Path(os.path.relpath(entry.report, folder)).as_posix()
     return Cell("report", href=quote(os.fsencode(path)))  # its bytes may be no UTF-8
 

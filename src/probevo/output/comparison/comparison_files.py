@@ -64,6 +64,7 @@ def record(entry: Entry, folder: Path) -> dict[str, object]:
         "steps": steps_of(entry),
         "ms_per_frame": _median_ms(entry),
         "out_of_domain": entry.result.out_of_domain,
+        "faults": entry.result.faults,
         "metrics": None if entry.metrics is None else entry.metrics.as_dict(),
         "report": report,
         "settings": None if entry.config is None else entry.config.model_dump(mode="json"),

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.evaluation.paired_test import PairedDifference, paired_differences
+from probevo.evaluation.paired_test import DRAWS, PairedDifference, paired_differences
 
 CONFIDENCE = 0.95
 """Probability that, by one error on one recording, none of the differences that are called
 significant is noise."""
+DRAWS_IN_MARGIN = 5
+"""Draws, at least, beyond the margin of the most confident test."""
 SEED = 0
 """Seed of the random exchanges, so that the same runs give the same result."""
 
@@ -43,7 +46,7 @@ def rank(
     """Rank two or more runs over N frames by each of their errors.
 
     Args:
-        motions: T_curr_prev of each run, [N-1, 4, 4], m, by its name.
+        motions: T_curr_prev along the path of each run, [N-1, 4, 4], m, by its name.
         errors: value of each error, by its name in ``Metrics``; None where it is not defined.
         T_world_cam_true: true poses, [N, 4, 4], m; NaN where unknown.
 
@@ -54,6 +57,8 @@ def rank(
     # same errors, these are those of all pairs, although only those with the best are made.
     num_pairs = len(motions) * (len(motions) - 1) // 2
     confidence = 1.0 - (1.0 - CONFIDENCE) / num_pairs
+    # The more pairs, the smaller the p-values that have to be told apart.
+    draws = max(DRAWS, math.ceil(DRAWS_IN_MARGIN / (1.0 - confidence)) - 1)
     rankings = {}
     tested: dict[tuple[str, str], dict[str, PairedDifference]] = {}
     for error in next(iter(errors.values())):
@@ -71,6 +76,7 @@ def rank(
                     T_world_cam_true,
                     np.random.default_rng(SEED),
                     confidence=confidence,
+                    draws=draws,
                 )
         against = {rival: tested[best, rival] for rival in known if rival != best}
         if all(error in found for found in against.values()):

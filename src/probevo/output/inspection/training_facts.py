@@ -86,18 +86,25 @@ def kept_text(training: Mapping[str, Any]) -> str:
 
 
 def em_note(training: Mapping[str, Any], initial: str) -> str:
-    """Explain the figure of the EM iterations, given what the first was given."""
+    """Explain the figure of the EM iterations, given what the first one began with."""
     kept = kept_text(training)
     sentences = [f"Iteration 0 has the noise of {initial}."]
     if kept:
         sentences.append(f"Kept: {kept}.")
-    return " ".join([*sentences, END_ERROR])
+    if _has_end_errors(training["iterations"]):
+        sentences.append(END_ERROR)
+    return " ".join(sentences)
+
+
+def _has_end_errors(iterations: Sequence[Mapping[str, float]]) -> bool:
+    """Return whether an end error is known of each iteration: that of a closed loop."""
+    return all("loop_error_m" in iteration for iteration in iterations)
 
 
 def em_figure(iterations: Sequence[Mapping[str, float]]) -> Figure:
     """Draw likelihood and, where known, end error over the EM iterations (PROBE-GK Fig. 8)."""
     shown = [("log_likelihood", "log likelihood, nats a feature", BLUE)]
-    if all("loop_error_m" in iteration for iteration in iterations):
+    if _has_end_errors(iterations):
         shown.append(("loop_error_m", "end error, m", ORANGE))
     figure = Figure(figsize=(WIDTH_IN, 2.6))
     all_axes = np.atleast_1d(figure.subplots(1, len(shown)))
@@ -136,7 +143,7 @@ def time_correlation_text(ratio: float) -> str:
     """
     if not ratio:
         return "none"
-    return f"σ of the disparity is {ratio:.2g} times that of the part that is new in each frame"
+    return f"its σ is {ratio:.2g} times that of the part of the disparity that is new in each frame"
 
 
 def learned_jitter_text(jitter_cov: FloatArray | None) -> str:

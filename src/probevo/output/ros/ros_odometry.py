@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.output.run_result import RunResult
 
@@ -53,9 +52,7 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
     T_odom_base = T_odom_base_of(result.T_world_cam, T_base_cam)
     adjoint = se3.adjoint(T_base_cam)
 
-    path_cov = drift_covariances(
-        result.T_curr_prev, result.cov, result.common_mode, path_cross_cov=result.path_cross_cov
-    )
+    path_cov = result.drift_covariances_from(0)
 
     # The velocity of the body is constant during a step, so that both ends have the same.
     duration_s = 1e-9 * np.diff(result.stamps_ns)[:, None]

@@ -25,7 +25,8 @@ from probevo_sim.scene.textures import Texture
 
 DISTANCE_M = 220.0
 SPEED_M_S = 8.0
-LANE_M = 1.7
+LANE_OFFSET_M = 1.7
+"""Distance of the driven lane's middle from the centre line, to the right."""
 PIECES = ((66.0, 0.0), (26.0, -0.5 * np.pi), (52.0, 0.0), (26.0, 0.5 * np.pi), (50.0, 0.0))
 """Length, m, and change of heading, rad, of the pieces of the street; a long drive repeats them."""
 HALT_M = 112.0
@@ -65,7 +66,11 @@ def city(config: SceneConfig) -> Place:
     route = Route.from_turns(repeated(PIECES, distance_m), lead_m=LEAD_M)
     stops_m = tuple(float(s) for s in np.arange(HALT_M, distance_m - 20.0, REPEAT_M))
     plan = DrivePlan(
-        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m
+        start_m=0.0,
+        distance_m=distance_m,
+        speed_m_s=SPEED_M_S,
+        lateral_m=-LANE_OFFSET_M,
+        stops_m=stops_m,
     )
 
     # What stands beside it, and what lies on it.
@@ -76,7 +81,7 @@ def city(config: SceneConfig) -> Place:
         *_pavement(route, rng),
         *_lights(route, stops_m),
     ]
-    standing = [*houses, *clear_of_road(objects, route, LANE_M + HALF_LANE_M)]
+    standing = [*houses, *clear_of_road(objects, route, LANE_OFFSET_M + HALF_LANE_M)]
     return compose(
         config,
         route,
@@ -230,7 +235,7 @@ def _marks(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) -
         marks.append(
             furniture.lane_dash(0.5, KERB_M - 0.3).at(route.place(stop + 3.5, -0.5 * KERB_M))
         )
-        marks.append(furniture.arrow().at(route.place(stop - 4.0, -LANE_M)))
+        marks.append(furniture.arrow().at(route.place(stop - 4.0, -LANE_OFFSET_M)))
     marks.append(furniture.crosswalk(2.0 * KERB_M).at(route.place(24.0, 0.0)))
     for s in stations(route, 0.0, -BEHIND_M, end_m=end_m, spacing_m=11.0):
         marks.append(

@@ -25,7 +25,8 @@ from probevo_sim.scene.textures import Texture
 
 DISTANCE_M = 220.0
 SPEED_M_S = 8.0
-LANE_M = 1.5
+LANE_OFFSET_M = 1.5
+"""Distance of the driven lane's middle from the centre line, to the right."""
 PIECES = (
     (24.0, 0.0),
     (32.0, 0.6),
@@ -79,13 +80,17 @@ def residential(config: SceneConfig) -> Place:
     route = Route.from_turns(repeated(PIECES, distance_m), lead_m=LEAD_M)
     stops_m = tuple(float(s) for s in np.arange(HALT_M, distance_m - 20.0, REPEAT_M))
     plan = DrivePlan(
-        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m
+        start_m=0.0,
+        distance_m=distance_m,
+        speed_m_s=SPEED_M_S,
+        lateral_m=-LANE_OFFSET_M,
+        stops_m=stops_m,
     )
 
     # What stands beside it, and what lies on it.
     gardens = clear_of_road([*_lots(route, rng), *_behind(route, rng)], route, GARDEN_M - 0.6)
     street = clear_of_road(
-        [*_kerbs(route), *_street(route, stops_m, rng)], route, LANE_M + HALF_LANE_M
+        [*_kerbs(route), *_street(route, stops_m, rng)], route, LANE_OFFSET_M + HALF_LANE_M
     )
     marks = _marks(route, stops_m, rng)
     return compose(
