@@ -10,8 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import probevo as pv
-from probevo.evaluation.consistency import drift_covariances
-from probevo.geometry import se3
 
 
 def run(path: Path) -> list[pv.MotionEstimate]:
@@ -30,17 +28,9 @@ def run(path: Path) -> list[pv.MotionEstimate]:
 
 def plot(motions: list[pv.MotionEstimate], picture: Path) -> None:
     """Plot the path from above, and the standard deviation of the position along it."""
-    steps = motions[1:]
-    T_curr_prev = np.array([step.T_curr_prev for step in steps])
-    x_m, _, z_m = se3.chain_motions(T_curr_prev)[:, :3, 3].T
-
-    # Steps are correlated: by the calibration's error, common to all, and by tracks that last.
-    cov = drift_covariances(
-        T_curr_prev,
-        cov=np.array([step.cov for step in steps]),
-        common_mode=np.array([step.common_mode for step in steps]),
-        path_cross_cov=np.array([step.path_cross_cov for step in steps]),
-    )
+    # Errors of steps are correlated, by the calibration and by tracks: ``compound`` knows how.
+    T_world_cam, cov = pv.compound(motions)
+    x_m, _, z_m = T_world_cam[:, :3, 3].T
     sigma_mm = 1e3 * np.sqrt(np.diagonal(cov, axis1=1, axis2=2)[:, :3])
 
     figure = Figure(figsize=(9, 4), layout="constrained")

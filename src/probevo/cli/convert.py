@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from shutil import rmtree
@@ -210,13 +210,13 @@ def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
     Raises:
         InputError: its motions are damaged, or the file cannot be written.
     """
-    from probevo.output.motions_file import read_motions
     from probevo.output.ros.bag_writer import check_bag_path
     from probevo.output.ros.odometry_bag import write_odometry_bag
+    from probevo.output.run_folder import read_run
 
     if arguments.out.suffix != VIEWER_SUFFIX:
         check_bag_path(arguments.out, "--out")
-    result = with_smoothed(read_motions(arguments.source / MOTIONS), arguments.source)
+    result = read_run(arguments.source)
     if arguments.out.suffix == VIEWER_SUFFIX:
         _write_for_viewer(result, arguments)
     else:
@@ -258,26 +258,3 @@ def _write_for_viewer(result: RunResult, arguments: ConvertArguments) -> None:
         )
     if not is_same:
         print("The recording or probevo has changed since: features are not exactly those.")
-
-
-def with_smoothed(result: RunResult, folder: Path) -> RunResult:
-    """Return a run with the smoothed path that lies in its folder, if there is one.
-
-    Raises:
-        InputError: its file is damaged, or is that of another run.
-    """
-    import numpy as np
-
-    from probevo.output.files import SMOOTHED_KITTI
-    from probevo.sequences.pose_files import read_kitti_poses
-
-    path = folder / SMOOTHED_KITTI
-    if not path.is_file():
-        return result
-    smoothed = read_kitti_poses(path)
-    if len(smoothed) != len(result):
-        what = f"it has {len(smoothed)} poses, and {MOTIONS} {len(result)} frames."
-        raise InputError(path, what, "Are they of one run?")
-    if not np.isfinite(smoothed).all():
-        raise InputError(path, "some of its poses are not known.", "Run `probevo run` again.")
-    return replace(result, smoothed=smoothed)

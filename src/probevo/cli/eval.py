@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +14,8 @@ from probevo.cli.text import columns
 from probevo.errors import InputError
 
 if TYPE_CHECKING:
-    from probevo.arrays import BoolArray, FloatArray, IntArray
+    from probevo.arrays import FloatArray, IntArray
+    from probevo.output.run_result import RunResult
 
 PoseFormat = Literal["kitti", "tum"]
 COLUMNS: dict[int, PoseFormat] = {12: "kitti", 8: "tum"}
@@ -48,20 +49,8 @@ class Trajectory:
     """Poses, [N, 4, 4], m; NaN where unknown."""
     stamps_ns: IntArray | None = None
     """Times, [N], ns; None if the file has none."""
-    T_curr_prev: FloatArray | None = None
-    """Relative motions, [N-1, 4, 4], m; None if it is not a run."""
-    cov: FloatArray | None = None
-    """Covariances of the relative motions, [N-1, 6, 6]; None if it is not a run."""
-    out_of_domain: float | None = None
-    """See ``RunResult.out_of_domain``."""
-    faults: dict[str, int] | None = None
-    """See ``RunResult.faults``; None of a trajectory that is no run."""
-    stopped: str | None = None
-    """See ``RunResult.stopped``."""
-    is_ok: BoolArray | None = None
-    """Whether each step was solved, [N-1]; None if it is not a run."""
-    smoothed: FloatArray | None = None
-    """Poses as they left the window, [N, 4, 4], m; None if it is not a run with a window."""
+    run: RunResult | None = None
+    """The run, if it is one, and not a trajectory alone."""
 
 
 def main(words: list[str]) -> None:
@@ -69,81 +58,54 @@ def main(words: list[str]) -> None:
     arguments = parse(EvalArguments, words, "eval")
     import numpy as np
 
+    from probevo.estimation.motion_estimate import Status
     from probevo.evaluation.metrics import evaluate
     from probevo.evaluation.trajectory_errors import relative_motions
     from probevo.output.files import write_json
     from probevo.output.metrics_table import metrics_rows
     from probevo.output.run_warnings import step_length_warning, truth_warning
 
-    estimate = read_run(arguments.run) if arguments.run.is_dir() else read_trajectory(arguments.run)
+    estimate = _estimate(arguments.run)
     truth = read_trajectory(arguments.gt, arguments.gt_format)
     refuse_unknown(estimate)
     T_world_cam_true, remark = match_truth(estimate, truth)
-    metrics = evaluate(
-        estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, cov=estimate.cov
-    )
-    smoothed = None
-    if estimate.smoothed is not None:
-        smoothed = evaluate(estimate.smoothed, T_world_cam_true).of_path()
-    metrics = replace(
-        metrics,
-        out_of_domain=estimate.out_of_domain,
-        smoothed=smoothed,
-        faults=estimate.faults,
-        stopped=estimate.stopped,
-    )
+    run = estimate.run
+    if run is None:
+        metrics = evaluate(estimate.T_world_cam, T_world_cam_true)
+        T_curr_prev = relative_motions(estimate.T_world_cam)
+        is_ok = np.ones(len(T_curr_prev), np.bool_)
+    else:
+        metrics = run.metrics(T_world_cam_true)
+        T_curr_prev = run.T_curr_prev
+        is_ok = run.status == Status.OK
     rows = metrics_rows(metrics)
     width = max(len(name) for name, _, _ in rows)
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
     if remark:
         print(remark)
-    T_curr_prev = estimate.T_curr_prev
-    if T_curr_prev is None:
-        T_curr_prev = relative_motions(estimate.T_world_cam)
-    is_ok = estimate.is_ok
-    if is_ok is None:
-        is_ok = np.ones(len(T_curr_prev), np.bool_)
     for warning in (
         truth_warning(T_curr_prev, T_world_cam_true),
         step_length_warning(T_curr_prev, is_ok, T_world_cam_true),
     ):
         if warning is not None:
             print(f"probevo: warning: {warning}", file=sys.stderr)
-    if arguments.run.is_dir():
+    if run is not None:
         write_json(arguments.run / "metrics.json", metrics.as_dict())
         print(f"written: {arguments.run / 'metrics.json'}")
 
 
-def read_run(folder: Path) -> Trajectory:
-    """Read what ``probevo run`` wrote into a folder: the run, and its smoothed path if it has one.
+def _estimate(path: Path) -> Trajectory:
+    """Read what is to be compared: the folder of a run, or a trajectory file.
 
     Raises:
-        InputError: the folder has no motions, or one of the files is damaged.
+        InputError: the folder has no motions, or a file is damaged.
     """
-    from probevo.cli.convert import with_smoothed
-    from probevo.estimation.motion_estimate import Status
-    from probevo.output.motions_file import read_motions
+    from probevo.output.run_folder import MOTIONS, read_run
 
-    path = folder / "motions.npz"
-    if not path.exists():
-        raise InputError(
-            path,
-            "this file is missing.",
-            "Give the --out folder of `probevo run`, or a trajectory file.",
-        )
-    result = with_smoothed(read_motions(path), folder)
-    return Trajectory(
-        path,
-        result.T_world_cam,
-        result.stamps_ns,
-        T_curr_prev=result.T_curr_prev,
-        cov=result.cov,
-        out_of_domain=result.out_of_domain,
-        faults=result.faults,
-        stopped=result.stopped,
-        is_ok=result.status == Status.OK,
-        smoothed=result.smoothed,
-    )
+    if not path.is_dir():
+        return read_trajectory(path)
+    run = read_run(path)
+    return Trajectory(path / MOTIONS, run.T_world_cam, run.stamps_ns, run)
 
 
 def read_trajectory(path: Path, pose_format: PoseFormat | None = None) -> Trajectory:

@@ -23,6 +23,7 @@ from probevo.estimation.motion_estimate import (
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
+from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
 from probevo.output.rows import Rows
 
@@ -206,6 +207,19 @@ class RunResult:
             self.cov[origin:],
             self.common_mode[origin:],
             path_cross_cov=cross_cov,
+        )
+
+    def metrics(self, T_world_cam_true: FloatArray) -> Metrics:
+        """Compare the run with true poses of its frames, [N, 4, 4], m; NaN where unknown."""
+        smoothed = None
+        if self.smoothed is not None:
+            smoothed = evaluate(self.smoothed, T_world_cam_true).of_path()
+        return replace(
+            evaluate(self.T_world_cam, T_world_cam_true, self.T_curr_prev, cov=self.cov),
+            out_of_domain=self.out_of_domain,
+            smoothed=smoothed,
+            faults=self.faults,
+            stopped=self.stopped,
         )
 
     def __len__(self) -> int:

@@ -21,7 +21,7 @@ from probevo.estimation.window.inertial import noise_factor_of, reason_unused_at
 from probevo.estimation.window.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
-from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.evaluation.metrics import Metrics
 from probevo.geometry import se3
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.sensor import Sensor
@@ -345,16 +345,7 @@ def _write_results(
     metrics = None
     if sequence.truth is not None:
         truth = sequence.truth.T_world_cam[: len(result)]
-        metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, cov=result.cov)
-        metrics = replace(
-            metrics,
-            out_of_domain=result.out_of_domain,
-            smoothed=(
-                None if result.smoothed is None else evaluate(result.smoothed, truth).of_path()
-            ),
-            faults=result.faults,
-            stopped=result.stopped,
-        )
+        metrics = result.metrics(truth)
 
     # All files or none: part of them beside those of an earlier run would pass for one run.
     with written_together(out) as folder:

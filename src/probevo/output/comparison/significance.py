@@ -57,7 +57,7 @@ def rank(
     # same errors, these are those of all pairs, although only those with the best are made.
     num_pairs = len(motions) * (len(motions) - 1) // 2
     confidence = 1.0 - (1.0 - CONFIDENCE) / num_pairs
-    # The more pairs, the smaller the p-values that have to be told apart.
+    # The more pairs, the smaller the p-values that have to be distinguished.
     draws = max(DRAWS, math.ceil(DRAWS_IN_MARGIN / (1.0 - confidence)) - 1)
     rankings = {}
     tested: dict[tuple[str, str], dict[str, PairedDifference]] = {}
