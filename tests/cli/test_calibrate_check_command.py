@@ -103,7 +103,7 @@ def test_a_flawless_recording_has_nothing_marked(world: World) -> None:
     assert marked(lines) == set()
     assert lines[-1] == "Nothing is further from zero than chance would have it."
     text = "\n".join(lines)
-    for name in ("rows, all", "right image is late", "disparity, bend", "scale", "gyro, unit"):
+    for name in ("rows, all", "right image is late", "disparity, bend", "scale", "gyro, scale"):
         assert name in text
     assert "accelerometer, gravity" in text
 
@@ -162,7 +162,7 @@ def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> 
         stream, gyro_rad_s=np.rad2deg(stream.gyro_rad_s), accel_m_s2=stream.accel_m_s2 / 9.81
     )
     lines = check(replace(world, imu_stream=degrees), FRAMES).lines
-    assert {"gyro, unit", "accelerometer, gravity"} <= marked(lines)
+    assert {"gyro, scale", "accelerometer, gravity"} <= marked(lines)
     assert any("degrees per second" in line for line in lines)
     assert any("in g: multiply by 9.81" in line for line in lines)
 

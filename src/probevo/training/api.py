@@ -16,7 +16,6 @@ from probevo.noise.model_io import save_model
 from probevo.predictors import PredictionSpace, Predictor
 from probevo.python_arguments import as_path
 from probevo.run_config import checked_settings
-from probevo.sequences.base import Sequence
 from probevo.storage.files import check_folder, name_as_text
 from probevo.storage.lock import locked
 from probevo.training.checkpoint import Checkpoint, checkpoint_folder
@@ -124,7 +123,7 @@ def _as_recordings(recordings: object) -> list[Recording]:
     if not found:
         raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
     for each in found:
-        if not isinstance(each, Path | RecordingAt | Sequence):
+        if not isinstance(each, Path | RecordingAt) and not hasattr(each, "camera"):
             raise InputError("recordings", f"holds {brief(each)}.", cure)
     return found
 
