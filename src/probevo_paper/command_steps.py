@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from probevo.camera.likeness import difference
 from probevo.cli import train
-from probevo.cli.demo import scene_folder
 from probevo.cli.text import table
 from probevo.errors import InputError
 from probevo.output.trial_table import TrialTable, trials_text
 from probevo.sequences import open_sequence
 from probevo_sim import command as simulate
+from probevo_sim.scene.writer import scene_folder
 
 if TYPE_CHECKING:
     from probevo import sequences

@@ -15,6 +15,7 @@ from probevo.cli.main import main
 from probevo.noise import StudentT
 from probevo.noise.model_io import save_model
 from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
+from probevo_sim.scene.writer import scene_folder
 
 TINY = SceneConfig(distance_m=4, rig=RigConfig(width_px=320, height_px=96, focal_px=180))
 SCENES = {"training": TINY, "test": TINY.model_copy(update={"seed": 1})}
@@ -110,9 +111,7 @@ def test_training_and_test_have_the_same_effects_but_other_streets() -> None:
 
 
 def test_other_settings_go_to_another_folder() -> None:
-    folders = {
-        demo.scene_folder("test", TINY.model_copy(update={"seed": seed})) for seed in (0, 1, 1)
-    }
+    folders = {scene_folder("test", TINY.model_copy(update={"seed": seed})) for seed in (0, 1, 1)}
     assert len(folders) == 2
     assert all(re.fullmatch(r"test-[0-9a-f]{8}", folder) for folder in folders)
 

@@ -10,7 +10,7 @@ import pytest
 from cli.rendering import HEIGHT_PX, WIDTH_PX, write_wall
 from output.pages import Balance
 from probevo.cli.main import main
-from probevo.output.report.feature_pictures import enlargement, legend_height
+from probevo.output.inspection.feature_pictures import enlargement, legend_height
 from probevo.predictors import PREDICTORS
 from probevo.training.settings import DEFAULT
 from sequences.damage import replace

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,6 +78,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo.output.comparison.comparison_page import write_comparison
     from probevo.output.comparison.learning_gain import learning_gains
     from probevo_sim.command import render_with_progress
+    from probevo_sim.scene.writer import scene_folder
 
     if not (out / "scenes").exists():
         print(
@@ -149,13 +149,6 @@ def noise_summaries(training: str) -> dict[str, str]:
 def file_name(label: str) -> str:
     """Turn the name of a noise model into one that needs no quotes in a shell."""
     return label.replace(" ", "-")
-
-
-def scene_folder(name: str, config: SceneConfig) -> str:
-    """Return the folder name of a scene; it changes with the settings and with the renderer."""
-    from probevo_sim.scene.writer import settings_text
-
-    return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
 def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:

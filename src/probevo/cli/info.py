@@ -255,7 +255,7 @@ def _noise_text(sequence: Sequence) -> str:
 
 def _imu_warnings(sequence: Sequence) -> Rows:
     """Look for implausible samples, and compare the gyro with the images."""
-    from probevo.cli.info_imu import ImageRotations, imu_warning, sample_warnings
+    from probevo.runs.imu_check import ImageRotations, imu_warning, sample_warnings
     from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.recording import ImageRecording
 

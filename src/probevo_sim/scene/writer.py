@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -98,6 +99,11 @@ def settings_text(config: SceneConfig) -> str:
     """
     settings = config.model_dump(exclude={"truth"})
     return yaml.safe_dump({"renderer": RENDERER_VERSION, **settings}, sort_keys=False)
+
+
+def scene_folder(name: str, config: SceneConfig) -> str:
+    """Return a folder's name for a scene; it changes with the settings and with the renderer."""
+    return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
 def _check_out(settings: str, out: Path) -> None:

@@ -12,6 +12,7 @@ from output.pages import Balance
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
+from probevo.output.inspection.feature_pictures import _MARK, draw_features, value_shades
 from probevo.output.inspection.gk import column_table, sections, summary
 from probevo.output.inspection.gk_data import (
     CentersView,
@@ -26,7 +27,6 @@ from probevo.output.inspection.gk_plots import centers_figures, gains_figure
 from probevo.output.inspection.page import write_inspection
 from probevo.output.inspection.subject import FrameView, Subject
 from probevo.output.inspection.training_facts import em_table, kept_text, scale_table, signed
-from probevo.output.report.feature_pictures import _MARK, draw_features, value_shades
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {

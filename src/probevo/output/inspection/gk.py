@@ -15,6 +15,7 @@ from probevo.output.inspection.common_sections import (
     settings_section,
     training_section,
 )
+from probevo.output.inspection.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.gk_data import (
     CentersView,
     gained,
@@ -51,7 +52,6 @@ from probevo.output.inspection.training_facts import (
     time_correlation_text,
 )
 from probevo.output.page import grid, heading, panel, row_panel, table_panel
-from probevo.output.report.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.svg import figure_style
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable, text_table
 from probevo.output.templating import rendered

@@ -15,6 +15,7 @@ from probevo.output.inspection.common_sections import (
     settings_section,
     training_section,
 )
+from probevo.output.inspection.feature_pictures import Shades, value_shades, weight_shades
 from probevo.output.inspection.knn_data import FrameWeights, ModelView
 from probevo.output.inspection.knn_plots import (
     correlation_figure,
@@ -41,7 +42,6 @@ from probevo.output.inspection.subject import (
 from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import origin
 from probevo.output.page import grid, heading, panel, row_panel, table_panel
-from probevo.output.report.feature_pictures import Shades, value_shades, weight_shades
 from probevo.output.svg import figure_style
 from probevo.output.table import readable, text_table
 from probevo.output.templating import rendered

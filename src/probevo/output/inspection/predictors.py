@@ -9,10 +9,10 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.output.inspection.common_sections import percent, pictures_section
+from probevo.output.inspection.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.subject import Findings, FrameView, Picture, Subject
 from probevo.output.inspection.terms import column_notes
 from probevo.output.page import table_panel
-from probevo.output.report.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probevo.cli.info_imu import ImageRotations, imu_warning, sample_warnings
 from probevo.geometry import se3, so3
+from probevo.runs.imu_check import ImageRotations, imu_warning, sample_warnings
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import AnyArray, FloatArray, Image
-from probevo.output.report.feature_pictures import (
+from probevo.output.inspection.feature_pictures import (
     Shades,
     draw_features,
     enlargement,
