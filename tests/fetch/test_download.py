@@ -169,6 +169,26 @@ def test_the_next_host_takes_over(first: str, hosts: Hosts, tmp_path: Path) -> N
     assert done.is_verified
 
 
+def test_what_has_arrived_of_a_host_stays_while_another_one_is_asked(
+    hosts: Hosts, tmp_path: Path
+) -> None:
+    first = hosts({"/data.zip": DATA})
+    first.breaks_after = [CHUNK, 0, 0, 0, 0, 0, 0]
+    second = hosts({"/data.zip": DATA})
+
+    def stop(done: int, total: int) -> None:
+        if second.asked:
+            raise KeyboardInterrupt
+
+    file = remote(f"{first.url}/data.zip", f"{second.url}/data.zip")
+    with pytest.raises(KeyboardInterrupt):
+        download(file, tmp_path, stop, wait_s=0.0)
+    first.breaks_after = []
+    assert download(file, tmp_path, wait_s=0.0).path.read_bytes() == DATA
+    assert first.asked[-1][1] == f"bytes={CHUNK}-"
+    assert [path.name for path in tmp_path.iterdir()] == ["data.zip"]
+
+
 def test_a_wrong_checksum_leaves_nothing(hosts: Hosts, tmp_path: Path) -> None:
     host = hosts({"/data.zip": DATA, "/data.zip.md5": b"0" * 32})
     with pytest.raises(InputError, match="MD5") as caught:

@@ -1,8 +1,8 @@
 """Transfer of one file over HTTP: resumed where it stopped, checked, and complete or absent.
 
-What has arrived lies beside the file as ``NAME.part``, and ``NAME.part.json`` says from where. The
-file gets its own name when it is complete. Then its checksum is compared, if one is published, and
-a file with a wrong one is removed.
+What has arrived lies beside the file as ``NAME.part`` (``NAME.part1`` of a second host), and
+``NAME.part.json`` says from where. The file gets its own name when it is complete. Then its
+checksum is compared, if one is published, and a file with a wrong one is removed.
 """
 
 from __future__ import annotations
@@ -78,11 +78,16 @@ def download(
         InputError: no host could give it; the message says why, of each. What has arrived stays.
     """
     path = folder / file.name
+    # What has arrived of each host, since their files may differ
+    partials = [path.with_name(f"{file.name}.part{k or ''}") for k in range(len(file.urls))]
     failures = []
-    for url in file.urls:
+    for url, partial in zip(file.urls, partials, strict=True):
         try:
             if not path.exists():
-                _transfer(url, path, on_progress, wait_s=wait_s)
+                _transfer(url, partial, on_progress, wait_s=wait_s)
+                partial.replace(path)
+                for other in partials:
+                    _discard(other)
             return _verified(file, path, url)
         except _ChecksumError as error:
             path.unlink()
@@ -116,9 +121,8 @@ def checked_copy(file: RemoteFile, path: Path) -> Fetched:
     return Fetched(path, "", path.stat().st_size, sha256=digest, is_verified=False)
 
 
-def _transfer(url: str, path: Path, on_progress: Progress, *, wait_s: float) -> None:
-    """Bring a file to its place, in as many attempts as bring something new."""
-    partial = path.with_name(f"{path.name}.part")
+def _transfer(url: str, partial: Path, on_progress: Progress, *, wait_s: float) -> None:
+    """Complete the partial file, in as many attempts as bring something new."""
     failures = 0
     while True:
         before = partial.stat().st_size if partial.exists() else 0
@@ -141,8 +145,6 @@ def _transfer(url: str, path: Path, on_progress: Progress, *, wait_s: float) -> 
         if failures >= ATTEMPTS:
             raise last
         time.sleep(wait_s * 2.0 ** (failures - 1))
-    partial.replace(path)
-    _note(partial).unlink(missing_ok=True)
 
 
 def _receive(url: str, partial: Path, on_progress: Progress) -> None:

@@ -31,11 +31,11 @@ from probevo.nets.extra import require_nets
 from probevo.nets.image_pairs import facts_of
 from probevo.nets.learning import Learned, LearningPlan, TrainingData, learn
 from probevo.nets.methods import Build, Method
-from probevo.nets.sun_views import SUN_FILE
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
 from probevo.sequences.base import Sequence
+from probevo.sequences.formats.folder import SUN_FILE
 from probevo.storage.files import check_folder, remove_stale, write_atomically
 from probevo.storage.lock import locked
 from probevo.storage.npz import NO_NPZ, read_npz

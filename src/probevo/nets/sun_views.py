@@ -22,9 +22,9 @@ from probevo.geometry import so3
 from probevo.nets.flow_field import CELL_PX, FOCAL_PX, LEAST_LEVELS, cell_means, virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.sequences.base import Sequence
+from probevo.sequences.formats.folder import SUN_FILE
 from probevo.storage.files import check_regular
 
-SUN_FILE = "sun.txt"
 MOST_BYTES = 10_000
 CURE = "Write the direction towards the sun into it, x y z, in the frame of the first camera."
 CHANNELS = 4

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from probevo.errors import InputError
-from probevo.sequences.formats.folder import IMU_HEADER
+from probevo.sequences.formats.folder import IMU_HEADER, SUN_FILE
 from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
 from probevo.storage.files import check_folder, remove_stale, write_atomically
@@ -27,8 +27,6 @@ RENDERER_VERSION = 1
 
 Increase it with every change that alters an image."""
 SETTINGS_FILE = "scene.yaml"
-SUN_FILE = "sun.txt"
-"""Direction towards the sun, x y z, in the world of the poses: that of the first camera."""
 LAST_FILE = "times.txt"
 """The file that is written last: where it is, the recording is complete."""
 SIDES = ("left", "right")

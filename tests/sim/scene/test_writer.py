@@ -8,9 +8,10 @@ import pytest
 
 from probevo.errors import InputError
 from probevo.sequences import open_sequence
+from probevo.sequences.formats.folder import SUN_FILE
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
-from probevo_sim.scene.writer import LAST_FILE, SETTINGS_FILE, SUN_FILE, write_scene
+from probevo_sim.scene.writer import LAST_FILE, SETTINGS_FILE, write_scene
 
 CONFIG = SceneConfig(
     preset="road", distance_m=8.0, rig=RigConfig(width_px=96, height_px=48, focal_px=60.0)

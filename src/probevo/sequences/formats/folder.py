@@ -47,6 +47,9 @@ from probevo.sequences.stamps import check_stamps, evenly_spaced, read_times, st
 from probevo.sequences.text import read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
+SUN_FILE = "sun.txt"
+"""Direction towards the sun, x y z, in the world of the poses: that of the first camera. Networks
+of the sun read it."""
 IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 EUROC_IMU_HEADER = "#timestamp [ns],w_RS_S_x [rad s^-1]"
 """How the first line of EuRoC's ``imu0/data.csv`` begins, which has the same columns."""

@@ -62,14 +62,14 @@ def distant_tree(rng: np.random.Generator) -> Solids:
     return join([upper, lower])
 
 
-def bush(rng: np.random.Generator, leaves: Texture = Texture.FOLIAGE) -> Solids:
+def bush(rng: np.random.Generator) -> Solids:
     """Build a bush of two ellipsoids of leaves, 0.8 to 1.6 high."""
     high = rng.uniform(0.8, 1.6)
     large_size = (1.4 * high, 1.2 * high, 1.2 * high)
-    large = _leaves(rng, large_size, (0, 0, 0.4 * high), tile=1.6, texture=leaves)
+    large = _leaves(rng, large_size, (0, 0, 0.4 * high), tile=1.6)
     small_size = (high, 0.9 * high, 0.9 * high)
     small_middle = (0.4 * high, 0.3 * high, 0.3 * high)
-    small = _leaves(rng, small_size, small_middle, tile=1.6, texture=leaves)
+    small = _leaves(rng, small_size, small_middle, tile=1.6)
     return join([large, small])
 
 
