@@ -2,17 +2,20 @@
 
 A right image that is exposed τ later than the left one shows a point where it is by then. In the
 camera's frame a point p at rest moves by ṗ = ω × p + v, where (v, ω) is the twist of T_curr_prev
-per second, and with (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) and Z = f_u b/d,
+per second. With x = (u_r − c_u)/f_u, y = (v_l − c_v)/f_v and Z = f_u b/d at the time of the left
+image, its mean velocity over τ in the right image is
 
-    u̇_r = f_u (ṗ_x − x ṗ_z)/Z,    v̇_r = f_v (ṗ_y − y ṗ_z)/Z.
+    u̇_r = f_u (ṗ_x − x ṗ_z)/(Z + τ ṗ_z),    v̇_r = f_v (ṗ_y − y ṗ_z)/(Z + τ ṗ_z).
 
-A car that drives ahead thus moves v_r by y v d τ/b. Unlike errors of the rectification, this
-depends on the disparity d, so a frame with near points determines τ. Both are estimated together
-from v_r − v_l, by recursive robust least squares,
+This is exact for a camera that does not turn: u_r = f_u (p_x − b)/p_z + c_u before and after. A car
+that drives ahead thus moves v_r by y v d τ/b. Unlike errors of the rectification, this depends on
+the disparity d, so a frame with near points determines τ. Both are estimated together from
+v_r − v_l, by recursive robust least squares,
 
     v_r − v_l = a·(1, x, y, x², x y, y², y r²) + τ v̇_r,
 
-and the motion during τ is removed from u_r and v_r.
+where x is that of the left image (``row_basis``), and the motion during τ is removed from u_r and
+v_r.
 """
 
 from __future__ import annotations
@@ -33,9 +36,9 @@ USUAL_DELAY_S = 0.001
 """Apparent delay that rectification errors can cause: up to 0.4 ms on KITTI, whose cameras are
 triggered together."""
 ITERATIONS = 4
-CORRECTIONS = 3
-"""Iterations of the correction. The second one moves near points by up to half a pixel at 12 m/s
-and 5 ms, a fourth would be negligible."""
+LEAST_SHARE = 0.1
+"""Least depth of a point at the time of the right image, as a share of that before, and least
+distance of the cameras, by which depth is known, as a share of the baseline."""
 DELAY = 7
 """Index of τ among the coefficients; before it are a₀ … a₆."""
 
@@ -113,8 +116,10 @@ class ExposureDelay:
             noise: of v_r − v_l.
             jitter_cov: covariance of the rig's jitter, [3, 3], rad².
         """
-        # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ): one more column, px/s.
-        row_speed_px_s = right_velocity(pixels, twist, camera)[:, 1]
+        # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ), but for what v̇_r depends on
+        # τ, which is that of the estimate so far: one more column, px/s.
+        at_once = without_delay(pixels, self.estimate_s, twist, camera)
+        row_speed_px_s = right_velocity(at_once, twist, camera, self.estimate_s)[:, 1]
         coefficients, information = fit_row_offsets(
             np.column_stack([basis, row_speed_px_s]),
             pixels[:, 3] - pixels[:, 1],
@@ -155,27 +160,30 @@ def without_delay(
         camera: the rectified camera.
     """
     corrected: FloatArray = pixels.copy()
-    if not delay_s:
-        return corrected
-    # The velocity depends on the disparity, which the delay has changed: iterate.
-    for _ in range(CORRECTIONS):
-        velocity = right_velocity(corrected, twist, camera)
-        corrected[:, 2:] = pixels[:, 2:] - delay_s * velocity
+    if delay_s:
+        _remove_delay(corrected, twist, _intrinsics(camera), delay_s)
     return corrected
 
 
-def right_velocity(pixels: FloatArray, twist: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return (u̇_r, v̇_r) of points at rest, [N, 2], px/s, given observations [N, 4], px.
+def right_velocity(
+    pixels: FloatArray, twist: FloatArray, camera: StereoCamera, delay_s: float
+) -> FloatArray:
+    """Return the mean velocity (u̇_r, v̇_r) of points at rest over τ, [N, 2], px/s.
 
     Args:
-        pixels: the observations.
+        pixels: observations of both cameras at one time, [N, 4], px.
         twist: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
+        delay_s: τ.
     """
     velocity = np.empty((len(pixels), 2))
-    intrinsics = (camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m)
-    _fill_right_velocity(pixels, twist, intrinsics, velocity)
+    _fill_right_velocity(pixels, twist, _intrinsics(camera), delay_s, velocity)
     return velocity
+
+
+def _intrinsics(camera: StereoCamera) -> tuple[float, float, float, float, float]:
+    """Return (f_u, f_v, c_u, c_v, b)."""
+    return camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m
 
 
 @compiled
@@ -183,9 +191,10 @@ def _fill_right_velocity(
     pixels: FloatArray,
     twist: FloatArray,
     intrinsics: tuple[float, float, float, float, float],
+    delay_s: float,
     velocity: FloatArray,
 ) -> None:
-    """Fill the velocities, [N, 2], px/s, for intrinsics (f_u, f_v, c_u, c_v, b)."""
+    """Fill the mean velocities, [N, 2], px/s, for intrinsics (f_u, f_v, c_u, c_v, b)."""
     fu, fv, cu, cv, baseline = intrinsics
     vx, vy, vz, wx, wy, wz = twist
     for k in range(len(pixels)):
@@ -197,10 +206,48 @@ def _fill_right_velocity(
         rate_x = wy - wz * y + vx * inverse_depth
         rate_y = wz * x - wx + vy * inverse_depth
         rate_z = wx * y - wy * x + vz * inverse_depth
-        # Quotient rule on u_r = f_u (p_x − b)/p_z + c_u and v_r = f_v p_y/p_z + c_v, b being
-        # constant.
-        velocity[k, 0] = fu * (rate_x - x_right * rate_z)
-        velocity[k, 1] = fv * (rate_y - y * rate_z)
+        # Differences of u_r = f_u (p_x − b)/p_z + c_u and v_r = f_v p_y/p_z + c_v over τ
+        share = max(1.0 + delay_s * rate_z, LEAST_SHARE)
+        velocity[k, 0] = fu * (rate_x - x_right * rate_z) / share
+        velocity[k, 1] = fv * (rate_y - y * rate_z) / share
+
+
+@compiled
+def _remove_delay(
+    pixels: FloatArray,
+    twist: FloatArray,
+    intrinsics: tuple[float, float, float, float, float],
+    delay_s: float,
+) -> None:
+    """Move u_r and v_r of observations, [N, 4], px, to the time of the left image.
+
+    With ρ = 1/Z, ṗ/Z = r + ρ v, where r = ω × (x_l, y, 1), and x' of the right image after τ,
+
+        x' (1 + τ (r_z + ρ v_z)) = x_l + τ (r_x + ρ v_x) − ρ b,
+
+    which is linear in ρ. Observations that no point at rest can have stay as they are.
+    """
+    fu, fv, cu, cv, baseline = intrinsics
+    vx, vy, vz, wx, wy, wz = twist
+    for k in range(len(pixels)):
+        x = (pixels[k, 0] - cu) / fu
+        y = (pixels[k, 1] - cv) / fv
+        x_later = (pixels[k, 2] - cu) / fu
+        turned_x = wy - wz * y
+        turned_y = wz * x - wx
+        turned_z = wx * y - wy * x
+        apart_m = baseline + delay_s * (x_later * vz - vx)
+        if apart_m < LEAST_SHARE * baseline:
+            continue
+        inverse_depth = x + delay_s * turned_x - x_later * (1.0 + delay_s * turned_z)
+        inverse_depth /= apart_m
+        rate_z = turned_z + inverse_depth * vz
+        share = 1.0 + delay_s * rate_z
+        if share < LEAST_SHARE:
+            continue
+        rate_y = turned_y + inverse_depth * vy
+        pixels[k, 2] = pixels[k, 0] - fu * baseline * inverse_depth
+        pixels[k, 3] -= delay_s * fv * (rate_y - y * rate_z) / share
 
 
 def is_noticeable(delay_s: float) -> bool:
