@@ -134,7 +134,16 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             seen.between_ns, seen.rotation_rad, stream, calibration=sequence.imu
         )
         quantities += gyro
-        gravity = gravity_quantity(stream, sequence.imu)
+        T_cam_imu = sequence.imu.T_cam_imu.copy()
+        T_cam_imu[:3, :3] = C_cam_imu
+        gravity = gravity_quantity(
+            sequence.stamps_ns[:num_frames],
+            seen.T_world_cam,
+            seen.is_ok,
+            stream=stream,
+            T_cam_imu=T_cam_imu,
+            bias_sigma_m_s2=sequence.imu.accel_bias_sigma_m_s2,
+        )
         quantities += [gravity] if gravity else []
         scale = accelerometer_scale(
             sequence.stamps_ns[:num_frames],

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation, RotationSpline
 from scipy.special import ndtri
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
@@ -22,8 +23,9 @@ from probevo.sequences.imu_calibration import ImuCalibration
 GRAVITY_M_S2 = 9.81
 GRAVITY_SIGMA_M_S2 = 0.02
 """Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
-AVERAGED_NS = 500_000_000
-"""Time over which forces are averaged before their lengths are taken."""
+NUM_PARTS = 5
+FEWEST_PARTS = 3
+"""Parts of a recording whose mean forces are compared."""
 MOST_DOF = 1e6
 """Degrees of freedom beyond which Student's t is a Gaussian."""
 SELF_CALIBRATED = (
@@ -280,27 +282,46 @@ def gyro_quantities(
     return [*quantities, unit, clock], found.C_cam_imu
 
 
-def gravity_quantity(stream: ImuStream, calibration: ImuCalibration) -> Quantity | None:
-    """Compare the mean specific force with gravity; None without an accelerometer.
+def gravity_quantity(
+    stamps_ns: IntArray,
+    T_world_cam: FloatArray,
+    is_ok: BoolArray,
+    *,
+    stream: ImuStream,
+    T_cam_imu: FloatArray,
+    bias_sigma_m_s2: float,
+) -> Quantity | None:
+    """Compare the mean specific force, less the mean acceleration by the images, with gravity.
 
-    A vehicle neither flies away nor falls, so that the mean over a recording is gravity and bias.
+    In the axes of the world, vibrations average out, and the acceleration is the change of the
+    velocity. Each fifth of the recording with solved steps only gives a length.
+
+    Args:
+        stamps_ns: stamps of N frames, [N].
+        T_world_cam: poses by images, [N, 4, 4], m.
+        is_ok: whether each step was solved, [N − 1].
+        stream: the samples of the IMU, on the clock of the images.
+        T_cam_imu: pose of the IMU on the camera, as the images have it, [4, 4], m.
+        bias_sigma_m_s2: standard deviation of the accelerometer's bias.
+
+    Returns:
+        The quantity; None without an accelerometer, or with fewer than three such parts.
     """
-    is_known = np.isfinite(stream.accel_m_s2).all(axis=1)
-    force = _vibrations_averaged(stream.stamps_ns[is_known], stream.accel_m_s2[is_known])
-    if len(force) < FEWEST_BLOCKS:
+    parts = [
+        _mean_force_m_s2(stamps_ns[part], T_world_cam[part] @ T_cam_imu, stream)
+        for part in np.array_split(np.arange(len(stamps_ns)), NUM_PARTS)
+        if len(part) > 2 and is_ok[part[0] : part[-1]].all()
+    ]
+    found = [np.linalg.norm(force) for force in parts if force is not None]
+    if len(found) < FEWEST_PARTS:
         return None
-    lengths = np.linalg.norm(force, axis=1)
-    length = float(lengths.mean())
-    # Three independent errors: the bias, gravity at this place, and the scatter of the mean, from
-    # five parts of the recording.
-    parts = np.array_split(lengths, FEWEST_BLOCKS)
-    scatter = float(np.std([part.mean() for part in parts], ddof=1)) / np.sqrt(FEWEST_BLOCKS)
-    sigma = float(
-        np.hypot(np.hypot(calibration.accel_bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter)
-    )
-    # Only the scatter is estimated, with four degrees of freedom; the others are known. The sum has
-    # those of Welch and Satterthwaite, σ⁴ / (scatter⁴ / 4).
-    dof = (FEWEST_BLOCKS - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MOST_DOF)
+    length = float(np.mean(found))
+    # Three independent errors: the bias, gravity at this place, and the scatter of the mean.
+    scatter = float(np.std(found, ddof=1)) / np.sqrt(len(found))
+    sigma = float(np.hypot(np.hypot(bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter))
+    # Only the scatter is estimated; the others are known. The sum has the degrees of freedom of
+    # Welch and Satterthwaite, those of the scatter times (σ/scatter)⁴.
+    dof = (len(found) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MOST_DOF)
     cure = f"the mean specific force is {length:.3g} m/s² long. "
     if length < 2.0:
         cure += "It is in g: multiply by 9.81. Near zero, gravity has been taken off it."
@@ -311,18 +332,33 @@ def gravity_quantity(stream: ImuStream, calibration: ImuCalibration) -> Quantity
     return Quantity("accelerometer, gravity", value, sigma, "m/s²", p_value=p_value, cure=cure)
 
 
-def _vibrations_averaged(stamps_ns: IntArray, force_m_s2: FloatArray) -> FloatArray:
-    """Return the mean specific force, [M, 3], over each half second that has samples.
+def _mean_force_m_s2(
+    stamps_ns: IntArray, T_world_imu: FloatArray, stream: ImuStream
+) -> FloatArray | None:
+    """Return the mean specific force over K frames less the mean acceleration, [3], m/s².
 
-    The length of a mean is that of gravity, while the mean length is larger by what vibrates.
+    Args:
+        stamps_ns: stamps of the frames, [K], K > 2.
+        T_world_imu: poses of the IMU by images, [K, 4, 4], m.
+        stream: the samples of the IMU.
+
+    Returns:
+        It is in the axes of the world; None if there are hardly any samples.
     """
-    if len(stamps_ns) == 0:
-        return np.zeros((0, 3))
-    half_seconds = (stamps_ns - stamps_ns[0]) // AVERAGED_NS
-    _, first = np.unique(half_seconds, return_index=True)
-    counts = np.diff(np.append(first, len(stamps_ns)))
-    averaged: FloatArray = np.add.reduceat(force_m_s2, first, axis=0) / counts[:, None]
-    return averaged
+    time_s = 1e-9 * (stamps_ns - stamps_ns[0])
+    sample_s = 1e-9 * (stream.stamps_ns - stamps_ns[0])
+    # From the middle of the first step to that of the last, where mean velocities are the momentary
+    # ones
+    middle_s = 0.5 * (time_s[1:] + time_s[:-1])
+    is_inside = (sample_s >= middle_s[0]) & (sample_s <= middle_s[-1])
+    is_inside &= np.isfinite(stream.accel_m_s2).all(axis=1)
+    if is_inside.sum() < len(middle_s) - 1:
+        return None
+    attitude = RotationSpline(time_s, Rotation.from_matrix(T_world_imu[:, :3, :3]))
+    force = attitude(sample_s[is_inside]).apply(stream.accel_m_s2[is_inside])
+    velocity = np.diff(T_world_imu[:, :3, 3], axis=0) / np.diff(time_s)[:, None]
+    acceleration = (velocity[-1] - velocity[0]) / (middle_s[-1] - middle_s[0])
+    return np.asarray(force.mean(axis=0) - acceleration)
 
 
 def _edges(camera: StereoCamera, frames: list[RowSamples]) -> tuple[float, float]:
