@@ -149,7 +149,7 @@ SEEN = np.tile([320.0, 240.0, 300.0, 240.0], (5, 1))
         ((SEEN, SEEN, np.eye(3), CAMERA), r"noise: has shape \(3, 3\)"),
         ((SEEN, SEEN, "student", CAMERA), "Did you mean student-t"),
         ((SEEN, SEEN, np.eye(4), "camera"), "Give a StereoCamera"),
-        ((SEEN, "pixels", np.eye(4), CAMERA), "no array of numbers"),
+        ((SEEN, "pixels", np.eye(4), CAMERA), "not an array of numbers"),
     ],
 )
 def test_wrong_arguments_are_input_errors(arguments: Any, message: str) -> None:
@@ -168,7 +168,7 @@ def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None
     assert T_world_cam.shape == (5, 4, 4)
     np.testing.assert_allclose(T_world_cam[-1], motions[-1].T_world_cam, atol=1e-12)
     np.testing.assert_allclose(cov[-1], motions[-1].pose_cov, rtol=1e-9, atol=1e-13)
-    with pytest.raises(InputError, match="no MotionEstimate"):
+    with pytest.raises(InputError, match="not a MotionEstimate"):
         pv.compound([np.eye(4)])  # type: ignore[list-item]
 
 

@@ -95,7 +95,7 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
     file = tmp_path / "other.safetensors"
     save_file({"a": np.zeros(3)}, file)
-    with pytest.raises(InputError, match="no network of probevo"):
+    with pytest.raises(InputError, match="not a network of probevo"):
         train(METHODS[2], file)
 
 

@@ -229,7 +229,7 @@ def test_a_file_that_asks_for_too_much_is_refused(tmp_path: Path, change: dict[s
     facts = {**first_facts("sun", method), "scale": 1.0}
     file = tmp_path / "sun.safetensors"
     write_network_file(file, (), {**facts, "method": {**facts["method"], **change}})
-    with pytest.raises(InputError, match="no whole network of kind sun"):
+    with pytest.raises(InputError, match="not a complete network of kind sun"):
         SunNetwork.load(file)
 
 

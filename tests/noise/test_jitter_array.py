@@ -48,5 +48,5 @@ def test_what_is_no_covariance_of_small_angles_is_refused(
     path = tmp_path / "model.safetensors"
     file = StudentT().to_file()
     write_model_file(path, ModelFile(file.kind, {**file.arrays, NAME: change(COV)}, file.facts))
-    with pytest.raises(InputError, match="no whole student-t model"):
+    with pytest.raises(InputError, match="not a complete student-t model"):
         load_model(path)

@@ -144,7 +144,7 @@ class Bomb:
 def test_a_pickle_is_refused_and_never_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(path.parent)
     path.write_bytes(pickle.dumps(Bomb()))
-    with pytest.raises(InputError, match="no safetensors file"):
+    with pytest.raises(InputError, match="not a safetensors file"):
         read_model_file(path)
     assert not Path("bomb").exists()
 
@@ -152,7 +152,7 @@ def test_a_pickle_is_refused_and_never_run(path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize("metadata", [None, {"format": "pt"}])
 def test_a_foreign_safetensors_file_is_refused(path: Path, metadata: dict[str, str] | None) -> None:
     path.write_bytes(save({"weight": np.zeros((3, 3), np.float16)}, metadata))
-    with pytest.raises(InputError, match="no noise model of probevo"):
+    with pytest.raises(InputError, match="not a noise model of probevo"):
         read_model_file(path)
 
 

@@ -137,7 +137,7 @@ def refuse(path: Path, model: ModelFile) -> None:
     with pytest.raises(InputError) as caught:
         load_model(path)
     assert caught.value.where == str(path)
-    assert "no whole knn model" in str(caught.value)
+    assert "not a complete knn model" in str(caught.value)
     assert "Train it again." in str(caught.value)
 
 

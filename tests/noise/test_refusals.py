@@ -212,7 +212,7 @@ def refuse(path: Path, file: ModelFile) -> None:
     with pytest.raises(InputError) as caught:
         load_model(path)
     assert caught.value.where == str(path)
-    assert f"no whole {file.kind} model" in str(caught.value)
+    assert f"not a complete {file.kind} model" in str(caught.value)
     assert "Train it again." in str(caught.value)
 
 

@@ -114,7 +114,7 @@ def test_a_model_comes_back_as_it_was(path: Path, model: StudentT) -> None:
 def refuse(path: Path, model: ModelFile) -> None:
     """Its checksum is right, its content is not."""
     write_model_file(path, model)
-    with pytest.raises(InputError, match="no whole student-t model") as caught:
+    with pytest.raises(InputError, match="not a complete student-t model") as caught:
         load_model(path)
     assert "Train it again." in str(caught.value)
 

@@ -43,7 +43,7 @@ def test_path_whose_name_is_too_long(tmp_path: Path) -> None:
 
 def test_path_that_is_some_other_file(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
-    assert_refused(tmp_path / "notes.txt", ["notes.txt", "no recording", "an .npz file"])
+    assert_refused(tmp_path / "notes.txt", ["notes.txt", "not a recording", "an .npz file"])
 
 
 def test_folder_of_no_known_format_says_what_was_looked_for(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_of_a_folder_above_a_recording_the_recording_is_suggested(tmp_path: Path
     path = write_folder_sequence(tmp_path / "drives" / "monday")
     (tmp_path / "motions.npz").write_bytes(b"")
     for above in (path.parent, tmp_path):
-        assert_refused(above, [str(above), "no recording", f"Did you mean {path}?"])
+        assert_refused(above, [str(above), "not a recording", f"Did you mean {path}?"])
 
 
 def test_of_many_recordings_below_the_first_are_named(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_endings_in_capitals_are_recognised(tmp_path: Path) -> None:
     tracks = write_tracks(tmp_path)
     assert open_sequence(tracks.rename(tmp_path / "drive.NPZ")).format == "tracks"
     (tmp_path / "a.MP4").write_bytes(b"no video")
-    assert_refused(tmp_path / "a.MP4", ["a.MP4", "no video that OpenCV can read"])
+    assert_refused(tmp_path / "a.MP4", ["a.MP4", "OpenCV cannot read this as a video"])
     (tmp_path / "drive.MCAP").write_bytes(b"no bag")
     words = ["drive.MCAP", "by its ending", "Rename it: drive.mcap"]
     assert_refused(tmp_path / "drive.MCAP", words)

@@ -212,7 +212,7 @@ def test_a_world_in_which_nothing_is_seen() -> None:
 
 
 def test_too_large_a_world_is_refused() -> None:
-    with pytest.raises(InputError, match=r"36001 frames of 2000 landmarks are too many"):
+    with pytest.raises(InputError, match=r"36001 frames × 2000 landmarks are 72,002,000"):
         world_of(PointConfig(), duration_s=3600.0)
 
 

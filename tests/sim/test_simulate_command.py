@@ -138,7 +138,10 @@ def test_scene_settings_reach_the_renderer(
         (["point", "--landmarks", "0"], ["--landmarks is 0; it should be", "PROBE-GK has 2,000."]),
         (["point", "--noise.dof", "2"], ["--noise.dof is 2.0; it should be greater than 2."]),
         (["point", "--outliers.range-px", "nan"], ["--outliers.range-px is nan;"]),
-        (["point", "--landmarks", "100000"], ["too many", "Simulate fewer landmarks"]),
+        (
+            ["point", "--landmarks", "100000"],
+            ["30,000,000 are possible", "Simulate fewer landmarks"],
+        ),
         (["scene", "--effects.blur", "2"], ["--effects.blur is 2.0;", "Motion blur"]),
         (["scene", "--jobs", "-1"], ["--jobs: is -1."]),
     ],

@@ -124,8 +124,8 @@ def compare_halves(
             )
     if len(squared[1]) < FEWEST:
         what = (
-            f"only {len(squared[1])} of {max(total - WARM_UP, 0)} steps that count were solved by"
-            " both halves of the features."
+            f"{len(squared[1])} of its steps count and were solved by both halves of the features;"
+            f" {FEWEST} are needed."
         )
         raise InputError(
             sequence.path,

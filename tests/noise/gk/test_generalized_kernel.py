@@ -385,7 +385,7 @@ def refuse(path: Path, model: ModelFile) -> None:
     with pytest.raises(InputError) as caught:
         load_model(path)
     assert caught.value.where == str(path)
-    assert "no whole gk model" in str(caught.value)
+    assert "not a complete gk model" in str(caught.value)
     assert "Train it again." in str(caught.value)
 
 

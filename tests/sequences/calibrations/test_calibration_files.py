@@ -108,10 +108,10 @@ REFUSED: dict[str, tuple[str, str, Any, str]] = {
     "rolling shutter": ("cam0", "line_delay", 2e-5, "rolling shutter"),
     "no size": ("cam0", "resolution", [64], "expected 1×2"),
     "no rotation": ("cam1", "T_cn_cnm1", np.diag([2.0, 1, 1, 1]).tolist(), "T_cn_cnm1"),
-    "text": ("cam0", "intrinsics", "wide", "no list of numbers"),
+    "text": ("cam0", "intrinsics", "wide", "not a list of numbers"),
     "a text for a number": ("cam0", "timeshift_cam_imu", "soon", "expected a finite number"),
     "no finite number": ("cam0", "timeshift_cam_imu", "inf", "expected a finite number"),
-    "too many digits": ("cam1", "T_cn_cnm1", [10**400] * 16, "no list of numbers"),
+    "too many digits": ("cam1", "T_cn_cnm1", [10**400] * 16, "not a list of numbers"),
     "a single one of them": ("cam0", "timeshift_cam_imu", 10**400, "expected a finite number"),
 }
 
@@ -245,8 +245,8 @@ def test_ros_with_the_zeros_that_opencv_appends(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"fu_px: 3", "no calibration of a stereo pair"),
-        (b"[1, 2]", "no calibration"),
+        (b"fu_px: 3", "not the calibration of a stereo pair"),
+        (b"[1, 2]", "not a calibration"),
         (b"cam0: {intrinsics: [1]}", "one camera"),
         (b"a: !!opencv-matrix 3", "not YAML"),
         (b"a: !!opencv-matrix [50., 0., 31.]", "found a sequence"),

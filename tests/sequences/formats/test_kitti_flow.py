@@ -68,8 +68,8 @@ def test_of_several_scenes_one_is_named(tmp_path: Path) -> None:
         ("calib/000027.txt", None, "calib/000027.txt"),
         ("calib/000027.txt", "P0: 1 2 3\n", "P0: 3 numbers; expected 12"),
         ("disp_occ/000027_10.png", None, "disp_occ/000027_10.png"),
-        ("disp_occ/000027_10.png", "", "no PNG of 16 bits with 1 channels"),
-        ("flow_occ/000027_10.png", "no picture", "no PNG of 16 bits with 3 channels"),
+        ("disp_occ/000027_10.png", "", "not a PNG of 16 bits with 1 channels"),
+        ("flow_occ/000027_10.png", "no picture", "not a PNG of 16 bits with 3 channels"),
     ],
 )
 def test_what_is_missing_or_damaged_is_named(

@@ -171,9 +171,9 @@ def test_a_video_that_ends_a_little_earlier_is_reported(wall: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ("empty", "no video"),
-        ("text", "no video"),
-        ("half", "cannot be decoded|no video|frames that can be read|frames, the right"),
+        ("empty", "cannot read this as a video"),
+        ("text", "cannot read this as a video"),
+        ("half", "cannot be decoded|as a video|frames that can be read|frames, the right"),
         ("missing", "called right"),
         ("twice", "left.avi"),
         ("size", "sizes"),
