@@ -14,7 +14,7 @@ from probevo.evaluation.paired_test import DRAWS, PairedDifference, paired_diffe
 CONFIDENCE = 0.95
 """Probability that, by one error on one recording, none of the differences that are called
 significant is noise."""
-DRAWS_IN_MARGIN = 5
+DRAWS_IN_MARGIN = 3
 """Draws, at least, beyond the margin of the most confident test."""
 SEED = 0
 """Seed of the random exchanges, so that the same runs give the same result."""
