@@ -30,7 +30,7 @@ HEAD = (
     *("of that without", "ANEES"),
 )
 NOTES = (
-    "Drift and rotation: over pieces of 10 to 50 m, on drives that were not learned from.",
+    "Drift and rotation: over segments of 10 to 50 m, on drives that were not learned from.",
     "ANEES: of the steps; 6 is consistent. Baselines keep the covariance of the odometry.",
 )
 STREETS: tuple[PresetName, PresetName] = ("city", "residential")

@@ -41,7 +41,7 @@ class Drift(NamedTuple):
     """Errors of one method on one drive."""
 
     translation_percent: float | None
-    """Over pieces of 10 to 50 m; None where there is none."""
+    """Over segments of 10 to 50 m; None where there is none."""
     rotation_deg_per_m: float | None
     anees: float | None
     """Of the steps; 6 is consistent."""

@@ -345,7 +345,7 @@ def _summary(comparison: Comparison, out: Path) -> list[str]:
         "",
         *verdicts(comparison),
         *without_truth(comparison),
-        "Drift and rotation: over pieces of 10 to 50 m.",
+        "Drift and rotation: over segments of 10 to 50 m.",
         *column_notes(comparison),
         f"comparison: {out / 'comparison.html'}",
     ]

@@ -121,7 +121,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     print(f"\n{columns(kinds.items())}\n")
     for line in (*verdicts(comparison), *gains, CAUTION):
         print(line)
-    print("Drift and rotation: over pieces of 10 to 50 m.")
+    print("Drift and rotation: over segments of 10 to 50 m.")
     for note in column_notes(comparison):
         print(note)
     print(f"report: {out / 'report.html'}")

@@ -214,7 +214,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     if drift is not None:
         translation = readable(drift.translation_percent)
         rotation = readable(drift.rotation_deg_per_m)
-        lines.append(f"drift {translation} %, {rotation} °/m over pieces of {drift.segments} m")
+        lines.append(f"drift {translation} %, {rotation} °/m over segments of {drift.segments} m")
     if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")

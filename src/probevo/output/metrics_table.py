@@ -11,22 +11,22 @@ _ROWS: dict[str, tuple[str, str, str]] = {
     "short_t_percent": (
         "Drift, short",
         "%",
-        "Position error per distance over pieces of 10 to 50 m, wherever they start.",
+        "Position error per distance over segments of 10 to 50 m, wherever they start.",
     ),
     "short_r_deg_per_m": (
-        "Turn drift, short",
+        "Rotation drift, short",
         "°/m",
-        "Heading and tilt error per metre over the same pieces.",
+        "Heading and tilt error per metre over the same segments.",
     ),
     "kitti_t_percent": (
         "Drift, KITTI",
         "%",
-        "The same over pieces of 100 to 800 m, as the KITTI benchmark ranks.",
+        "The same over segments of 100 to 800 m, as the KITTI benchmark ranks.",
     ),
     "kitti_r_deg_per_m": (
-        "Turn drift, KITTI",
+        "Rotation drift, KITTI",
         "°/m",
-        "Rotation error per metre over the same pieces.",
+        "Rotation error per metre over the same segments.",
     ),
     "final_error_m": (
         "End error",

@@ -81,8 +81,8 @@ def write_comparison(
 
 def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Path) -> Markup:
     note = (
-        "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m;"
-        " median time, without decoding. Bold: the least of a sequence, and whatever cannot be"
+        "Position errors with the starts made equal; drift and rotation over segments of 10 to 50"
+        " m; median time, without decoding. Bold: the least of a sequence, and whatever cannot be"
         " distinguished from it; nothing, if no difference exceeds the noise of repetition."
     )
     table = comparison_table(comparison, colors, folder)
