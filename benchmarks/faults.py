@@ -142,7 +142,7 @@ def kill(folder: Path, drive: Path, number: int, rng: np.random.Generator) -> li
             faults += [f"{name} {k}: {fault}" for fault in halves(name, out, expected, stages)]
             done = subprocess.run(words_of(command, drive, out), check=False, capture_output=True)
             refuses = name.startswith("convert") and stages["complete"] > completed
-            if refuses and done.returncode == 2 and re.search(b"exists|no empty", done.stderr):
+            if refuses and done.returncode == 2 and re.search(b"exists|not empty", done.stderr):
                 pass  # a file that is complete is never replaced
             elif done.returncode != 0:
                 faults.append(f"{name} {k}: does not go on: {done.stderr.decode()}")
@@ -196,7 +196,7 @@ def together(folder: Path, drive: Path) -> list[str]:
                 f"{case}: exit code {code}: {text.strip()[-300:]}"
                 for text, code in ends
                 if code not in (0, 2)
-                or (code == 2 and not re.search("in use by|exists|no empty folder", text))
+                or (code == 2 and not re.search("in use by|exists|is not empty", text))
             ]
             found = content(out)
             if stable(found) != stable(expected):
