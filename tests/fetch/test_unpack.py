@@ -101,3 +101,15 @@ def test_a_damaged_archive_leaves_nothing(kind: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="damaged"):
         unpack_all([path], tmp_path / "out", {})
     assert [found.name for found in tmp_path.iterdir()] == [path.name]
+
+
+def test_an_encrypted_archive_is_refused(tmp_path: Path) -> None:
+    archive = zipped(tmp_path / "secret.zip", {"a.txt": b"a"})
+    content = bytearray(archive.read_bytes())
+    # Bit 0 of the flags, in the header of the file and in that of the directory
+    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        content[content.index(signature) + flags] |= 1
+    archive.write_bytes(content)
+    with pytest.raises(InputError, match=r"secret\.zip"):
+        unpack_all([archive], tmp_path / "out", {})
+    assert not (tmp_path / "out").exists()

@@ -15,12 +15,9 @@ from typing import IO, NamedTuple
 from probevo.errors import InputError
 
 DAMAGED = "Remove it, and fetch it again."
-FAULTS = (
-    *(zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError),
-    *(NotImplementedError, RuntimeError),
-)
-"""What the libraries raise for an archive that is damaged, encrypted, or of a kind that they do not
-know."""
+FAULTS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, RuntimeError)
+"""What the libraries raise for an archive that is damaged; RuntimeError, or NotImplementedError,
+which is one, for an archive that is encrypted or of a kind that they do not know."""
 
 
 def unpack_all(
