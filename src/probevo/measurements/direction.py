@@ -17,8 +17,8 @@ LARGEST_ANGLE_RAD = 3.0
 LEAST_SINE = 1e-12
 """Sine of an angle below which two directions are the same, or opposite."""
 LEAST_SINE_OF_ZENITH = 1e-3
-"""Sine of a zenith angle below which a direction counts as straight up or down: of an azimuth
-there, any error becomes a thousandth of it."""
+"""Sine of a zenith angle below which a direction counts as straight up or down, 0.06° from it: its
+azimuth has no meaning."""
 
 
 class Direction(VectorMeasurement):
