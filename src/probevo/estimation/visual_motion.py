@@ -456,7 +456,7 @@ class VisualEstimator:
 
     def _predicted_noise(self, tracks: Tracks, phi: FloatArray, noise_factor: float) -> StereoNoise:
         """Return the noise of tracks by the noise model, with its variances multiplied by a
-        factor.
+        factor, and with what correcting the tracks may have left.
 
         Args:
             tracks: N tracks.
@@ -466,9 +466,11 @@ class VisualEstimator:
         noise = self._noise.predict(phi)
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
-        if noise_factor == 1.0:
-            return noise
-        return noise.scaled(np.full(len(phi), noise_factor))
+        if noise_factor != 1.0:
+            noise = noise.scaled(np.full(len(phi), noise_factor))
+        if tracks.right_error_px is not None:
+            noise = noise.with_right_error(tracks.right_error_px)
+        return noise
 
     def _reference_motion(
         self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors

@@ -82,6 +82,17 @@ class StereoNoise:
             prev_scale=prev_scale,
         )
 
+    def with_right_error(self, error_px: FloatArray) -> StereoNoise:
+        """Return the noise of features whose (u_r, v_r) have one more error of such a size in each
+        of the two frames, [N, 2], px."""
+        observation = np.zeros((len(error_px), 4))
+        observation[:, 2:] = error_px
+        cov = np.einsum("ni,nj->nij", observation, observation)
+        if self.refers_to == "residual":
+            return replace(self, scale=self.scale + 2.0 * cov)
+        prev_scale = None if self.prev_scale is None else self.prev_scale + cov
+        return replace(self, scale=self.scale + cov, prev_scale=prev_scale)
+
     def log_likelihood(self, residuals: FloatArray) -> FloatArray:
         """Return the log density of residuals [N, 4], px, under ``scale``, [N], nats.
 

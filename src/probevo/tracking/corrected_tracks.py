@@ -55,11 +55,7 @@ class CorrectedTracks:
         simultaneous = raw
         if prev_twist is not None and curr_twist is not None:
             delay_s = rig.delay.delay_s
-            simultaneous = replace(
-                raw,
-                prev_px=without_delay(raw.prev_px, delay_s, prev_twist, camera),
-                curr_px=without_delay(raw.curr_px, delay_s, curr_twist, camera),
-            )
+            simultaneous = _without_delay(raw, delay_s, camera, (prev_twist, curr_twist))
         # Row offsets need no motion, so every frame updates them, accepted or not.
         updated = rig.with_rows(simultaneous.curr_px, camera)
         return CorrectedTracks(
@@ -82,3 +78,25 @@ class CorrectedTracks:
             prev_twist=prev_twist,
             curr_twist=curr_twist,
         )
+
+
+def _without_delay(
+    raw: Tracks, delay_s: float, camera: StereoCamera, twists: tuple[FloatArray, FloatArray]
+) -> Tracks:
+    """Return the tracks with the exposure delay of the right camera removed, under the velocities
+    at the two frames, [6] each.
+
+    These are interpolated between the means of steps. A camera that shakes has others, by about as
+    much as the velocity changes in a step, and what the delay moves is wrong by that.
+    """
+    if not delay_s:
+        return raw
+    prev_twist, curr_twist = twists
+    curr_px = without_delay(raw.curr_px, delay_s, curr_twist, camera)
+    of_other_frame = without_delay(raw.curr_px, delay_s, prev_twist, camera)
+    return replace(
+        raw,
+        prev_px=without_delay(raw.prev_px, delay_s, prev_twist, camera),
+        curr_px=curr_px,
+        right_error_px=curr_px[:, 2:] - of_other_frame[:, 2:],
+    )
