@@ -10,6 +10,7 @@ kernel has these, too. Prints the likelihood of the residuals, drift and rotatio
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,19 +18,20 @@ import numpy as np
 from recordings import ROOT
 
 import probevo as pv
-from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.noise import GeneralizedKernel, StudentT
 from probevo.noise.metric import Metric
 from probevo.output.run_result import RunRecorder
 from probevo.predictors import Needs, PredictionSpace, prediction_space
 from probevo.training.drive import joined
 from probevo.training.extraction import Extraction
-from probevo.training.gk.expectation import feature_errors, solve_drive
+from probevo.training.gk.expectation import MotionPosterior, feature_errors, solve_drive
 from probevo.training.gk.expectation_maximization import learn_kernel, learn_student_t
 from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import supervision_of
+from probevo.training.trainer import TrainingContext
 
 TRACKS = ROOT / "kitti_tracks"
 STUDENT_T = "Student-t"
@@ -46,20 +48,16 @@ class Scores(NamedTuple):
     rotation_deg_per_m: float
 
 
-def likelihood(
-    drive: DriveInMemory, model: pv.noise.NoiseModel, motions: FloatArray, cov: FloatArray
-) -> float:
+def likelihood(drive: DriveInMemory, model: pv.noise.NoiseModel, motions: MotionPosterior) -> float:
     """Return the mean log-likelihood of the residuals at these motions, nats a feature.
 
     Each residual is conditioned on the earlier ones of its track.
     """
     errors = feature_errors(
-        drive.parts(),
+        drive,
         motions,
-        cov,
-        predict=model.predict,
-        camera=drive.camera,
-        solver=OdometryConfig().solver,
+        model.predict,
+        OdometryConfig().solver,
         share=1.0,
         rng=np.random.default_rng(0),
     )
@@ -138,28 +136,28 @@ def main() -> None:
         rest = [drive for other, drive in enumerate(drives) if other != number]
         phi = np.concatenate([drive.drive.phi for drive in rest])
         metric = Metric.fitted(phi, space.columns, space.may_be_undefined)
-        models = {
-            STUDENT_T: learn_student_t(rest, uncorrelated, []),
-            CORRELATED: learn_student_t(rest, settings, []),
-            KERNEL_NAME: learn_kernel(rest, metric, settings, recordings=[]),
+        context = TrainingContext(drives=rest, metric=metric, settings=settings)
+        models: dict[str, StudentT | GeneralizedKernel] = {
+            STUDENT_T: learn_student_t(replace(context, settings=uncorrelated)),
+            CORRELATED: learn_student_t(context),
+            KERNEL_NAME: learn_kernel(context),
         }
 
         # All likelihoods are those at the motions of the Student-t.
-        motions, cov = solve_drive(
-            own.parts(), models[STUDENT_T].predict, own.camera, solver=settings.odometry.solver
-        )
+        motions = solve_drive(own, models[STUDENT_T].predict, settings.odometry.solver)
         scores = {}
         for name, model in models.items():
             metrics = run(path, model)
             scores[name] = Scores(
-                nats=likelihood(own, model, motions, cov),
+                nats=likelihood(own, model, motions),
                 drift_percent=metrics.short_t_percent,
                 rotation_deg_per_m=metrics.short_r_deg_per_m,
             )
         rows.append(scores)
 
         # For comparison, a Student-t that was fitted to the left-out drive itself.
-        own_nats.append(likelihood(own, learn_student_t([own], settings, []), motions, cov))
+        of_own = learn_student_t(replace(context, drives=[own]))
+        own_nats.append(likelihood(own, of_own, motions))
         print_row(path, scores, own_nats[-1])
 
     kernel_nats = np.array([row[KERNEL_NAME].nats for row in rows])

@@ -72,7 +72,7 @@ class OpenCvOdometry:
 def strongest_corners(image: Image) -> FloatArray:
     """Return the strongest FAST corners of each cell, [N, 2], px."""
     keypoints = cv2.FastFeatureDetector.create(20).detect(image)
-    corners = cv2.KeyPoint.convert(keypoints)
+    corners = np.array(cv2.KeyPoint.convert(keypoints))
     strength = np.array([keypoint.response for keypoint in keypoints])
     column, row = (corners // CELL_PX).astype(int).T
     cell = row * 1000 + column

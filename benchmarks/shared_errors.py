@@ -34,6 +34,7 @@ from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation import self_calibration
 from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.estimation.rig_update import CommonMode, update_rig
 from probevo.tracking.tracks import Tracks
 from probevo_sim.scene.writer import write_scene
 
@@ -51,14 +52,13 @@ def steps(sequence: pv.sequences.Sequence, tau_px: float) -> Iterator[Step]:
     """Yield the tracks of each accepted step, and its solve of these two frames alone."""
     initial = replace(RigCalibration.initial(), image=ImageErrors.initial(tau_px))
     found: list[Step] = []
-    update = self_calibration.update_rig
 
     def noted(
         rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
-    ) -> tuple[RigCalibration, FloatArray]:
+    ) -> tuple[RigCalibration, CommonMode]:
         """Update the rig, and keep what the update was given."""
         found.append((tracks, solution))
-        return update(rig, tracks, solution, camera)
+        return update_rig(rig, tracks, solution, camera)
 
     with (
         patch.object(RigCalibration, "initial", return_value=initial),

@@ -21,11 +21,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from probevo.noise import GeneralizedKernel
     from probevo.sequences import Sequence
+    from probevo.sequences.recording import StereoRecording
 
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
@@ -45,7 +46,7 @@ def measure(
     from probevo.allocator import keep_freed_memory
 
     keep_freed_memory()  # as ``probevo run`` does; both odometries gain by it
-    sequence = pv.open_sequence(path)
+    sequence = cast("StereoRecording", pv.open_sequence(path))
     model = kernel(sequence, frames)
     stages: list[dict[str, float]] = []
     ours = []
@@ -124,7 +125,7 @@ def ours_over(
         yield
 
 
-def theirs_over(sequence: Sequence) -> Iterator[None]:
+def theirs_over(sequence: StereoRecording) -> Iterator[None]:
     """Yield after each motion of the baseline."""
     import cv2
     from opencv_odometry import OpenCvOdometry

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import joblib
 import numpy as np
@@ -177,7 +177,7 @@ def fused(network: SunNetwork, views: list[SunViews], order: int, *, has_sun: bo
             covariance = correlated * found.covariance[k]
             measured = Direction(pose, found.directions[k], known, covariance)
             reading = Reading("sun", (measured,) if has_sun else ())
-            fusion, _ = fusion.updated([reading], pose, NorthConfig(), motion_squared={})
+            fusion, _ = fusion.updated([reading], pose, NorthConfig(), of_motion={})
             C_world_cam = fusion.pose.T_world_cam[:3, :3]
             heading = np.arctan2(C_world_cam[0, 2], C_world_cam[2, 2])
             rows.append([heading, np.sqrt(fusion.pose.cov[4, 4])])
@@ -200,7 +200,7 @@ def show_out_of_domain(network: SunNetwork, folder: Path) -> None:
     sequence = open_sequence(folder)
     images = [frame.left for frame in sequence]
     rng = np.random.default_rng(0)
-    seen = {
+    seen: dict[str, list[Any]] = {
         "night (5 % of the light, noise of 3 grey levels)": [
             np.clip(0.05 * image + rng.normal(0.0, 3.0, image.shape), 0, 255) for image in images
         ],

@@ -24,15 +24,17 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 import probevo as pv
 from probevo.config import OdometryConfig
+from probevo.noise import GeneralizedKernel
 from probevo.predictors import prediction_space
+from probevo.sequences.formats.tracks_file import TracksRecording
 from probevo.training.checkpoint import Checkpoint
-from probevo.training.gk.expectation_maximization import num_turns
+from probevo.training.gk.expectation_maximization import num_iterations
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import checked_sources
@@ -97,7 +99,9 @@ def train(folder: Path) -> None:
         phases.append((done, cpu_s() - cpu))
 
     paths = sorted(folder.glob("*.npz"))
-    model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
+    out = pv.train_model(paths, SETTINGS, folder / "m.safetensors", show)
+    model = cast(GeneralizedKernel, pv.load_model(out))
+    drives = [cast(TracksRecording, pv.open_sequence(path)) for path in paths]
     frames = sum(entry["frames"] for entry in model.training["recordings"])
 
     def cpu_s_until(passes: float) -> float:
@@ -106,10 +110,10 @@ def train(folder: Path) -> None:
 
     # Passes before the first iteration of the kernel: recording, and the iterations of the static
     # models. The second half of that iteration is the search and the first fit.
-    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.iterations
+    first = 1 + num_iterations(SETTINGS) - SETTINGS.gk.iterations
     facts = {
         "samples": model.num_samples_,
-        "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
+        "features": sum(len(drive.features.ids) for drive in drives),
         "clock": perf_counter() - start,
         "cpu": cpu_s() - cpu,
         "recording": cpu_s_until(1.0),

@@ -167,7 +167,7 @@ def rows(place: str, drives: list[FloatArray]) -> list[str]:
         mean = np.mean([values.mean() for values in by_drive]) / 6.0
         median = np.median(squared) / chi2.median(6)
         inside = [f"{100.0 * np.mean(squared < chi2.ppf(share, 6)):.0f}" for share in REGIONS]
-        low, high = chi2.ppf([0.025, 0.975], 6 * len(drives)) / (6 * len(drives))
+        low, high = np.array(chi2.ppf([0.025, 0.975], 6 * len(drives))) / (6 * len(drives))
         lines.append(
             f"| {place} | {name} | {mean:.2f} | {median:.2f} | {low:.2f} – {high:.2f} | "
             f"{', '.join(inside)} |"
