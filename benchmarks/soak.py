@@ -651,7 +651,7 @@ class RunSoak:
             self.wrong.append(f"run of {count} frames: black frames are {seeing}")
         self.counted["frames"] += count
         self.counted["lost frames"] += expected.get("lost_frames", 0)
-        is_damaged = stopped is not None and stopped.startswith("frame ")
+        is_damaged = stopped is not None and stopped.startswith(f"{piece.damaged}:")
         self.counted[f"ended by {'damaged image' if is_damaged else stopped or 'its end'}"] += 1
         for status in self.statuses:
             self.counted[status] += 1
