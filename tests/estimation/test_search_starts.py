@@ -20,7 +20,7 @@ from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking import FeatureMatcher, ImageTracker, Tracked, TrackingState, Tracks
 from probevo.tracking.anchor_patches import AnchorPatches
-from probevo.tracking.image_tracker import Followed
+from probevo.tracking.image_tracker import LEFT_THE_VIEW, Followed
 from probevo.tracking.preparation import prepare_images
 
 WIDTH_PX = 640
@@ -119,9 +119,10 @@ def test_the_prediction_of_a_gyro_is_a_start_if_it_is_far_enough() -> None:
 class Counting(ImageTracker):
     """Finds points at infinity, at rest, from one start; from others nothing."""
 
-    def __init__(self, right: FloatArray) -> None:
+    def __init__(self, right: FloatArray, num_left: int = 0) -> None:
         super().__init__(CAMERA, pv.OdometryConfig().tracking)
         self.right = right
+        self.rejected = {LEFT_THE_VIEW: num_left}
         self.starts = list[FloatArray]()
         self.completed = list[int]()
         """Which of the starts new features were added to."""
@@ -130,7 +131,8 @@ class Counting(ImageTracker):
         self.starts.append(T_curr_prev)
         count = 60 if np.array_equal(T_curr_prev, self.right) else 0
         px = np.random.default_rng(0).uniform(20.0, 220.0, (count, 4))[:, [0, 1, 0, 1]]
-        tracks = Tracks(px, px, np.arange(count), age=np.full(count, 2))
+        age = np.full(count, 2)
+        tracks = Tracks(px, px, np.arange(count), age=age, rejected=self.rejected)
         images = prepare_images(frame, self._config)
         alive = TrackingState.none(next_id=len(self.starts))
         patches = AnchorPatches.cut(images.left[0], np.zeros((0, 2)), self._config.window_px)
@@ -202,13 +204,16 @@ def test_given_features_are_matched_once(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len(tracked.state) == 3
 
 
-@pytest.mark.parametrize(("num_alive", "is_lost"), [(119, False), (121, True)])
-def test_the_turn_that_images_show_is_a_start_once_most_features_are_lost(
-    num_alive: int, is_lost: bool
+@pytest.mark.parametrize(
+    ("num_alive", "num_left", "is_lost"),
+    [(119, 0, False), (121, 0, True), (200, 81, False), (200, 79, True), (0, 0, False)],
+)
+def test_the_turn_that_images_show_is_a_start_once_most_features_in_view_are_lost(
+    num_alive: int, num_left: int, is_lost: bool
 ) -> None:
-    """Of so many features alive, 60 are found."""
+    """Of so many features alive, so many leave the view, and 60 are found."""
     start = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -1.0]))
-    tracker = Counting(start)
+    tracker = Counting(start, num_left)
     alive = replace(
         TrackingState.none(),
         ids=np.arange(num_alive),

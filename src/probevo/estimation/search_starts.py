@@ -14,6 +14,7 @@ from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
+from probevo.tracking.image_tracker import Followed
 
 REACH_PX = 30.0
 """Distance from the prediction within which the tracker, with its three pyramid levels, reliably
@@ -24,8 +25,8 @@ of raw 0005 was lost when only every fourth frame was used."""
 NEAR_ROLL_RAD = 0.1
 """The same for a turn about the optical axis."""
 FEWEST_KEPT = 0.5
-"""If a smaller share of the previous features is found, the search may have started in a wrong
-place."""
+"""If a smaller share of the previous features that are still in view is found, the search may have
+started in a wrong place."""
 COARSE_PX = 8
 """Factor by which images are reduced for the coarse rotation."""
 
@@ -96,9 +97,9 @@ def track_from_best_start(
 ) -> Tracked:
     """Track from each start T_curr_prev, [4, 4], and return the result whose tracks agree best.
 
-    If more than half of the features are lost, the camera may have turned in a way that nobody
-    predicted. The rotation of matched descriptors is then a further start, or that of the images as
-    a whole.
+    If more than half of the features in view are lost, the camera may have turned in a way that
+    nobody predicted. The rotation of matched descriptors is then a further start, or that of the
+    images as a whole.
 
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
     from rest, it converges to similar-looking places, such as the next post of a guard rail, which
@@ -109,8 +110,7 @@ def track_from_best_start(
     if not isinstance(tracker, ImageTracker):
         return tracker.track(state, frame, starts[0])
     found = [tracker.follow(state, frame, start) for start in starts]
-    most_found = max(len(followed.tracks) for followed in found)
-    is_lost = most_found < FEWEST_KEPT * len(state)
+    is_lost = _most_are_lost(found, len(state))
     if is_lost and prev_frame.left is not None and frame.left is not None:
         shown = matched_rotation(prev_frame.left, frame.left, camera)
         if shown is None:
@@ -134,3 +134,16 @@ def track_from_best_start(
         num_inliers = int(consensus.inliers.sum())
         agreement.append(num_inliers**2 / max(len(followed.tracks), 1))  # their number times share
     return tracker.with_new_features(found[int(np.argmax(agreement))])
+
+
+def _most_are_lost(found: list[Followed], num_features: int) -> bool:
+    """Return whether more than half of the features that are still in view are lost.
+
+    What a fast camera passes is not lost: from the start that keeps most features in view, only
+    those that it keeps count.
+    """
+    if num_features == 0:
+        return False
+    num_in_view = num_features - min(followed.num_left_the_view for followed in found)
+    most_found = max(len(followed.tracks) for followed in found)
+    return most_found <= FEWEST_KEPT * num_in_view

@@ -35,6 +35,8 @@ ALIKE_BEHIND = 6.0
 
 The gate of the tracks may be wider, since their history tells the wrong ones. Of swapped images, a
 third to two thirds of these matches differ by less; of right ones, hardly any."""
+LEFT_THE_VIEW = "left the view"
+"""Why a feature is lost that the motion takes out of the image."""
 NO_FIT = "no longer looks as at first sight"
 """Why a feature is lost whose image no longer matches its anchor patch."""
 
@@ -72,6 +74,11 @@ class Followed:
     """(u, v) of those found in the left image, whether or not in the right one, too, [N, 2], px."""
     disparity_px: FloatArray
     """Predicted disparity of these, [N], px."""
+
+    @property
+    def num_left_the_view(self) -> int:
+        """Number of features that the motion takes out of the image."""
+        return self.tracks.rejected.get(LEFT_THE_VIEW, 0)
 
 
 @dataclass(frozen=True)
@@ -207,7 +214,7 @@ class ImageTracker:
         # ``alive`` are the rows of the features that have passed all checks so far, in ``prev``,
         # ``patches`` and ``motion``.
         alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
-        rejected["left the view"] += len(prev) - len(alive)
+        rejected[LEFT_THE_VIEW] += len(prev) - len(alive)
         # Lucas–Kanade from the previous image, which looks most alike. Its errors add up along the
         # track; the alignment below removes them.
         tracked = track_points(
@@ -218,7 +225,7 @@ class ImageTracker:
             config=self._config,
         )
         inside = _inside(tracked.pixels, image)
-        rejected["left the view"] += int((~inside).sum())
+        rejected[LEFT_THE_VIEW] += int((~inside).sum())
         if images.left_usable is not None:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
             rejected["masked"] += int((inside & ~unmasked).sum())
