@@ -81,8 +81,8 @@ class NetworkSettings(Settings):
         ge=1,
         le=1000,
         description=(
-            "Of rotation and sun: number of times that each image is used; all but the first are"
-            " rotated by a random angle, as the camera would have seen it."
+            "Of rotation and sun: number of times that an epoch uses each image, and as often its"
+            " mirror image, each time as if the camera had turned by another random angle."
         ),
     )
     left_out: int = Field(

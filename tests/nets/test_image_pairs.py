@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cli.rendering import FOCAL_PX, STEP, write_wall
-from nets.small_pairs import small_pairs
 from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.nets.flow_field import rotated
@@ -43,18 +42,6 @@ def test_the_flow_is_that_of_the_images(tmp_path: Path) -> None:
     by_rotation = rotated(np.zeros_like(pairs.fields), so3.exp(pairs.rotations))
     remaining = np.abs(pairs.fields[:, :2] - by_rotation[:, :2])
     assert np.median(remaining) < 2.0 / FOCAL_PX
-
-
-def test_copies_have_the_field_of_their_rotation() -> None:
-    """The flow of a copy, turned back by its own rotation, is that of the pair without rotation."""
-    pairs = small_pairs(6)
-    copies = pairs.multiplied(3, np.random.default_rng(0))
-    assert len(copies) == 6 * 2 * 3
-    np.testing.assert_array_equal(copies.fields[:6], pairs.fields)
-    back = rotated(copies.fields.astype(float), so3.exp(copies.rotations).mT)
-    for k in range(12):
-        for copy in (1, 2):
-            np.testing.assert_allclose(back[12 * copy + k], back[k], atol=1e-6)
 
 
 def test_a_recording_without_truth_is_refused(tmp_path: Path) -> None:

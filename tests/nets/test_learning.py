@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from probevo.nets import methods  # noqa: E402
 from probevo.nets.learning import LearningPlan, learn  # noqa: E402
 from probevo.nets.methods import Method  # noqa: E402
 from probevo.nets.network_file import named_arrays, read_facts  # noqa: E402
+from probevo.nets.quaternions import product  # noqa: E402
 from probevo.nets.target_space import RotationTargets  # noqa: E402
 
 SPACE = RotationTargets()
@@ -136,18 +138,40 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
 
 def test_the_initial_networks_are_kept_if_no_loss_is_finite() -> None:
     given = data(HYDRA_SIGMA)
-    spoiled = given._replace(held_out_targets=jax.numpy.nan * given.held_out_targets)
+    spoiled = replace(given, held_out_targets=jax.numpy.nan * given.held_out_targets)
     plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=2)
     trained = learn(HYDRA_SIGMA, SPACE, build, data=spoiled, plan=plan)
     assert trained.kept_epoch == 0
     assert trained.epochs == 2
 
 
+def test_each_copy_of_the_data_is_another_one() -> None:
+    """Targets of copies are turned about z by a random half turn or none: with as many copies, the
+    network learns that either is as likely, and its loss is that of not knowing."""
+    given = data(HYDRA_SIGMA)
+    half_turn = jax.numpy.asarray([0.0, 0.0, 0.0, 1.0])
+
+    def turned(inputs: Any, targets: Any, key: Any) -> Any:
+        is_turned = jax.random.bernoulli(key, 0.5, (len(targets), 1, 1))
+        return inputs, jax.numpy.where(is_turned, product(targets, half_turn), targets)
+
+    plan = replace(PLAN, epochs=4, copies=3)
+    plain = learn(HYDRA_SIGMA, SPACE, build, data=given, plan=plan)
+    copied = learn(HYDRA_SIGMA, SPACE, build, data=replace(given, augment=turned), plan=plan)
+    sigma = []
+    for networks in (plain.networks, copied.networks):
+        first = jax.tree.map(lambda array: array[0], networks)
+        inputs = given.held_out_inputs[0]
+        _, raw = methods.estimates(HYDRA_SIGMA, SPACE, first, inputs, jax.random.key(0))
+        sigma.append(np.sqrt(np.median(SPACE.covariance(np.asarray(raw))[..., 2, 2])))
+    assert sigma[1] > 3.0 * sigma[0]
+
+
 def test_a_plan_that_the_data_do_not_allow_is_refused() -> None:
     with pytest.raises(InputError, match="there are 300 data"):
         train(HYDRA_SIGMA, None, plan=replace(PLAN, batch=301))
     without = data(HYDRA_SIGMA)
-    nothing = without._replace(held_out_inputs=without.held_out_inputs[:, :0])
+    nothing = replace(without, held_out_inputs=without.held_out_inputs[:, :0])
     with pytest.raises(InputError, match="no data are left out"):
         learn(HYDRA_SIGMA, SPACE, build, data=nothing, plan=replace(PLAN, patience=2))
 

@@ -16,7 +16,7 @@ eqx = pytest.importorskip("equinox")
 from probevo.errors import InputError  # noqa: E402
 from probevo.nets import methods  # noqa: E402
 from probevo.nets.domain import FARTHEST, Domain  # noqa: E402
-from probevo.nets.field_network import field_network, linear_fit  # noqa: E402
+from probevo.nets.field_network import FieldFit, field_network, fit_fields  # noqa: E402
 from probevo.nets.flow_field import CELLS  # noqa: E402
 from probevo.nets.learning import LearningPlan, TrainingData, learn  # noqa: E402
 from probevo.nets.methods import Method  # noqa: E402
@@ -46,6 +46,10 @@ def small_views(count: int = IMAGES, seed: int = 0) -> SunViews:
     return SunViews(fields, vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
+def fit_of(views: SunViews) -> FieldFit:
+    return fit_fields([(views.fields, views.directions)], ridge=1.0)
+
+
 @cache
 def untrained(name: str) -> SunNetwork:
     """Return networks with initial weights, and the domain of some views."""
@@ -59,8 +63,7 @@ def untrained(name: str) -> SunNetwork:
 
 def initial_networks(method: Method, views: SunViews) -> Any:
     """Return networks that begin as the linear regression of these views."""
-    linear = linear_fit(views.fields, views.directions, 1.0)
-    one = partial(field_network, method, space=SPACE, fields=views.fields, linear=linear)
+    one = partial(field_network, method, space=SPACE, fit=fit_of(views))
     keys = jax.random.split(jax.random.key(0), method.networks)
     return eqx.filter_jit(eqx.filter_vmap(one))(keys)
 
@@ -144,8 +147,7 @@ def test_an_ensemble_that_was_stopped_ends_with_the_same_bytes(tmp_path: Path) -
         held_out_inputs=jax.numpy.asarray(views.fields[None, :4]),
         held_out_targets=jax.numpy.asarray(views.directions[None, :4], "float32"),
     )
-    linear = linear_fit(views.fields, views.directions, 1.0)
-    one = partial(field_network, space=SPACE, fields=views.fields, linear=linear)
+    one = partial(field_network, space=SPACE, fit=fit_of(views))
 
     def train(file: Path, stop_after: int | None = None) -> None:
         """Train, perhaps until it is stopped."""

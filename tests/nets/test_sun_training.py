@@ -66,26 +66,6 @@ def test_the_directions_are_those_of_the_sun_in_each_camera(walls: list[Path]) -
     assert sequence.truth is not None
     expected = np.swapaxes(sequence.truth.T_world_cam[:5, :3, :3], 1, 2) @ SUN
     np.testing.assert_allclose(views.directions, expected, atol=1e-12)
-    mirrored = views.with_mirrored()
-    np.testing.assert_allclose(mirrored.directions[5:, 0], -views.directions[:, 0])
-    np.testing.assert_array_equal(mirrored.fields[5:, 0], views.fields[:, 0, :, ::-1])
-    np.testing.assert_array_equal(mirrored.fields[5:, 2], -views.fields[:, 2, :, ::-1])
-
-
-def test_copies_are_turned_with_the_sun(walls: list[Path]) -> None:
-    """What is seen straight ahead is seen at the sun's new place if the sun stands behind it."""
-    views = read_views(open_sequence(walls[0]), 4)
-    ahead = replace(views, directions=np.tile([0.0, 0.0, 1.0], (4, 1)))
-    copies = ahead.multiplied(3, np.random.default_rng(0))
-    assert len(copies) == 4 * 2 * 3
-    for k in range(8, len(copies)):
-        x, _, z = copies.directions[k]
-        cells = round(x / z * 180.0 / 4)
-        assert 2 <= abs(cells) <= 8
-        first = copies.fields[k % 8]
-        kept = slice(max(cells, 0), 72 + min(cells, 0))
-        moved = np.roll(first, cells, axis=-1)
-        np.testing.assert_array_equal(copies.fields[k][..., kept], moved[..., kept])
 
 
 def test_the_exposure_does_not_matter(walls: list[Path]) -> None:

@@ -14,7 +14,8 @@ module                     what it holds
 ``learning``               the training: seeded, can be stopped and resumed, stops early
 ``network_file``           networks and unfinished trainings as safetensors
 ``flow_field``             what a network sees of two images: flow on a grid of rays
-``image_pairs``            pairs of images of a recording, and copies that turn further
+``image_pairs``            pairs of images of a recording, with their true rotations
+``random_copies``          copies of what is learned from: turned further, mirrored
 ``field_network``          a network over such fields, which begins as a linear regression
 ``domain``                 whether an input is like those of the training
 ``trained_network``        what all trained networks have in common: evaluation, domain, file

@@ -7,6 +7,7 @@ trained part is what the heads add to it, and the covariance.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,6 +36,8 @@ HIDDEN = 32
 """Units of the hidden layer of each head."""
 SMALL = 0.1
 """Factor on the first weights of the last layers: the heads begin near the regression."""
+LEAST_SPREAD = 1e-6
+"""Added to the standard deviation of a channel."""
 RIDGE = 1e-3
 """Ridge penalty of the linear regression, per sample, for standardised flow."""
 
@@ -46,6 +49,25 @@ class LinearFit(NamedTuple):
     """[o, 2 · rows/2 · columns/2]"""
     offset: Any
     """[o]"""
+
+
+class FieldFit(NamedTuple):
+    """What a network begins with: the statistics of its inputs, and the regression."""
+
+    mean: FloatArray
+    """Mean of each channel over the training data, [C, 1, 1]."""
+    scale: FloatArray
+    """One over the standard deviation, [C, 1, 1]."""
+    linear: LinearFit
+
+    def estimates(self, fields: FloatArray) -> FloatArray:
+        """Return what the regression makes of fields, [N, C, rows, columns]: [N, o]."""
+        flow = _pooled(fields).reshape(len(fields), NUM_FLOW, -1)
+        standardised = (flow - self.mean[:NUM_FLOW, :, 0]) * self.scale[:NUM_FLOW, :, 0]
+        estimates: FloatArray = (
+            standardised.reshape(len(fields), -1) @ self.linear.weights.T + self.linear.offset
+        )
+        return estimates
 
 
 class FieldTrunk(eqx.Module):
@@ -107,31 +129,23 @@ class FieldHead(eqx.Module):
         return features[: self.num_linear] + self.correction(features, key)
 
 
-def field_network(
-    method: Method, key: jax.Array, *, space: TargetSpace, fields: FloatArray, linear: LinearFit
-) -> Network:
+def field_network(method: Method, key: jax.Array, *, space: TargetSpace, fit: FieldFit) -> Network:
     """Return a network over fields, with initial weights.
 
     Args:
         method: says how many heads it has, and whether one gives the covariance.
         key: of the weights.
         space: says how many numbers they give.
-        fields: training data, [N, C, rows, columns], by which each channel is standardised.
-        linear: the regression that all heads begin with.
+        fit: what all heads begin with.
     """
     key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
-    _, channels, rows, columns = fields.shape
     num_linear = space.num_outputs
-    trunk = FieldTrunk((channels, rows, columns), num_linear, method.dropout, key=key_of_trunk)
-    mean, scale = standardisation(fields)
+    shape = (len(fit.mean), *CELLS)
+    trunk = FieldTrunk(shape, num_linear, method.dropout, key=key_of_trunk)
     trunk = eqx.tree_at(
         lambda tree: (tree.mean, tree.scale, tree.linear),
         trunk,
-        (
-            jnp.asarray(mean, jnp.float32),
-            jnp.asarray(scale, jnp.float32),
-            LinearFit(*(jnp.asarray(array, jnp.float32) for array in linear)),
-        ),
+        jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), tuple(fit)),
     )
     keys = (key_of_heads, key_of_covariance)
     return network_on(trunk, method, space, keys=keys, num_features=num_linear + FEATURES)
@@ -142,8 +156,9 @@ def empty_field_networks(method: Method, space: TargetSpace, num_channels: int) 
     rows, columns = CELLS
     pooled = NUM_FLOW * (rows // POOL) * (columns // POOL)
     linear = LinearFit(np.zeros((space.num_outputs, pooled)), np.zeros(space.num_outputs))
-    fields = np.zeros((1, num_channels, rows, columns))
-    build_one = partial(field_network, method, space=space, fields=fields, linear=linear)
+    of_channels = np.zeros((num_channels, 1, 1))
+    fit = FieldFit(mean=of_channels, scale=of_channels, linear=linear)
+    build_one = partial(field_network, method, space=space, fit=fit)
     return empty_networks(build_one, method.networks)
 
 
@@ -182,35 +197,51 @@ def network_on(
     )
 
 
-def linear_fit(fields: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
-    """Return the ridge regression of targets, [N, o], on the flow of fields, [N, C, rows, columns].
+def fit_fields(batches: Iterable[tuple[FloatArray, FloatArray]], ridge: float = RIDGE) -> FieldFit:
+    """Return the statistics of fields, and the ridge regression of targets on their flow.
 
-    It is that of the standardised flow, as the network has it.
-    """
-    return ridge_fit(_standardised_flow(fields, standardisation(fields)), targets, ridge)
-
-
-def linear_estimates(linear: LinearFit, learned: FloatArray, fields: FloatArray) -> FloatArray:
-    """Return what a linear regression makes of fields, [N, o].
+    All of it follows from sums, so that the data are gone through once, and are never in memory
+    together.
 
     Args:
-        linear: the regression.
-        learned: the fields that it was fitted to.
-        fields: others, [N, C, rows, columns].
+        batches: fields, [B, C, rows, columns], and targets, [B, o].
+        ridge: penalty per datum, for standardised flow.
     """
-    flow = _standardised_flow(fields, standardisation(learned))
-    estimates: FloatArray = flow @ linear.weights.T + linear.offset
-    return estimates
+    count = 0
+    moments: Any = 0.0  # of each channel: sum and sum of squares, [2, C]
+    normal: Any = 0.0  # DᵀD of flow and offset, [i + 1, i + 1]
+    right: Any = 0.0  # Dᵀy, [i + 1, o]
+    for fields, targets in batches:
+        values = np.asarray(fields, np.float64)
+        moments = moments + np.stack([values.sum((0, 2, 3)), (values**2).sum((0, 2, 3))])
+        design = np.hstack([_pooled(values), np.ones((len(values), 1))])
+        normal = normal + design.T @ design
+        right = right + design.T @ targets
+        count += len(values)
+    mean, square = moments / (count * CELLS[0] * CELLS[1])
+    scale = 1.0 / (np.sqrt(np.maximum(square - mean**2, 0.0)) + LEAST_SPREAD)
+    # Standardised flow is (f − m) s: the design is D A, with A = [[diag(s), 0], [−m s, 1]].
+    per_channel = (len(normal) - 1) // NUM_FLOW
+    factor = np.append(np.repeat(scale[:NUM_FLOW], per_channel), 1.0)
+    to_standard = np.diag(factor)
+    to_standard[-1, :-1] = -np.repeat(mean[:NUM_FLOW], per_channel) * factor[:-1]
+    linear = _solved_ridge(
+        to_standard.T @ normal @ to_standard, to_standard.T @ right, ridge=ridge * count
+    )
+    return FieldFit(mean[:, None, None], scale[:, None, None], linear)
 
 
 def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
     """Return the ridge regression of targets, [N, o], on standardised inputs, [N, i]."""
-    # (DᵀD + λ N I) w = Dᵀ y, where the offset, the last column of D, is not penalised
     design = np.hstack([inputs, np.ones((len(inputs), 1))])
-    normal = design.T @ design
-    penalty = ridge * len(design) * np.eye(design.shape[1])
+    return _solved_ridge(design.T @ design, design.T @ targets, ridge=ridge * len(design))
+
+
+def _solved_ridge(normal: FloatArray, right: FloatArray, *, ridge: float) -> LinearFit:
+    """Solve (DᵀD + λ I) w = Dᵀ y, where the offset, the last column of D, is not penalised."""
+    penalty = ridge * np.eye(len(normal))
     penalty[-1, -1] = 0.0
-    solved = np.linalg.solve(normal + penalty, design.T @ targets)
+    solved = np.linalg.solve(normal + penalty, right)
     return LinearFit(solved[:-1].T, solved[-1])
 
 
@@ -220,21 +251,12 @@ def standardisation(fields: FloatArray) -> tuple[FloatArray, FloatArray]:
     # One channel at a time: gigabytes of images should not be there twice in double precision.
     channels = range(fields.shape[1])
     spread = np.array([fields[:, channel].std(dtype=np.float64) for channel in channels])
-    return mean[:, None, None], 1.0 / (spread[:, None, None] + 1e-6)
+    return mean[:, None, None], 1.0 / (spread[:, None, None] + LEAST_SPREAD)
 
 
-def _standardised_flow(fields: FloatArray, standard: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the standardised flow as means of 2 × 2 cells, [N, *].
-
-    Args:
-        fields: [N, C, rows, columns].
-        standard: as ``standardisation`` gives it.
-    """
-    mean, scale = (part[:NUM_FLOW, 0, 0] for part in standard)
-    # The mean of cells is linear: taken first, it leaves a quarter of half of the channels.
-    pooled = np.asarray(pooled_flow(fields), np.float64).reshape(len(fields), NUM_FLOW, -1)
-    standardised = (pooled - mean[:, None]) * scale[:, None]
-    return standardised.reshape(len(fields), -1)
+def _pooled(fields: FloatArray) -> FloatArray:
+    """Return the flow of fields as means of 2 × 2 cells, [N, *], in double precision."""
+    return np.asarray(pooled_flow(fields), np.float64)
 
 
 def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:

@@ -13,6 +13,7 @@ images come any number of training data with exact targets.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ from probevo.arrays import AnyArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 
+Fields = Any
+"""Arrays of NumPy, or of JAX."""
 FOCAL_PX = 180.0
 """Focal length of the virtual camera: half that of the rendered scenes, a quarter of KITTI's."""
 SIZE_PX = (288, 80)
@@ -125,35 +128,33 @@ def flow_field(prev: Image, curr: Image) -> FloatArray:
     return np.stack(field).astype(np.float32)
 
 
-def rotated(fields: FloatArray, rotations: FloatArray) -> FloatArray:
+def rotated(fields: Fields, rotations: Fields) -> Fields:
     """Return fields of flow, [N, 4, rows, columns], as if the camera had then turned further.
 
     Args:
-        fields: as ``flow_field`` gives them.
+        fields: as ``flow_field`` gives them, of NumPy or JAX.
         rotations: C by which the current camera is turned, p' = C p, [N, 3, 3].
     """
+    xp = fields.__array_namespace__()
     rays = cell_rays()
     x = rays[0] + fields[:, 0]
     y = rays[1] + fields[:, 1]
     # Where each ray of the previous image is seen in the current one, as a ray, [N, 3, rows,
     # columns]. A camera that turns further moves it by C, whatever its depth.
-    seen = np.stack([x, y, np.ones_like(x)], axis=1)
-    turned = np.einsum("nij,njrc->nirc", rotations, seen)
-    moved = fields.copy()
-    moved[:, 0] = turned[:, 0] / turned[:, 2] - rays[0]
-    moved[:, 1] = turned[:, 1] / turned[:, 2] - rays[1]
-    return moved
+    seen = xp.stack([x, y, xp.ones_like(x)], axis=1)
+    turned = xp.einsum("nij,njrc->nirc", rotations, seen)
+    moved = [turned[:, 0] / turned[:, 2] - rays[0], turned[:, 1] / turned[:, 2] - rays[1]]
+    return xp.concatenate([xp.stack(moved, axis=1), fields[:, 2:]], axis=1)
 
 
-def mirrored(fields: FloatArray) -> FloatArray:
+def mirrored(fields: Fields) -> Fields:
     """Return fields, [N, 4, rows, columns], of the mirrored world: left and right exchanged.
 
     The rotation (φ_x, φ_y, φ_z) of the camera becomes (φ_x, −φ_y, −φ_z).
     """
     # Columns in reverse order, and the flow along x with the other sign
-    flipped = fields[..., ::-1].copy()
-    flipped[:, 0] *= -1.0
-    return flipped
+    signs = np.array([-1.0, 1.0, 1.0, 1.0], fields.dtype)[:, None, None]
+    return fields[..., ::-1] * signs
 
 
 @cache

@@ -14,24 +14,9 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.nets.flow_field import (
-    check_field_of_view,
-    field_of_images,
-    mirrored,
-    rotated,
-)
+from probevo.nets.flow_field import check_field_of_view, field_of_images
 from probevo.sequences.base import Sequence
 from probevo.storage.files import name_as_text
-
-FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
-"""Standard deviations by which copies are rotated further, about x, y and z."""
-FURTHER_SPREAD = 1.0
-"""Standard deviation of the logarithm of a random factor on these: many small rotations, few large
-ones."""
-MOST_FURTHER_RAD = 0.06
-"""No axis is rotated more: at a tenth of a second, a turn of 34° a second."""
-MIRROR = np.array([1.0, -1.0, -1.0])
-"""Effect of a reflection of x on a rotation vector."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +39,6 @@ class ImagePairs:
             np.concatenate([part.fields for part in parts]),
             np.concatenate([part.rotations for part in parts]),
         )
-
-    def multiplied(self, copies: int, rng: np.random.Generator) -> ImagePairs:
-        """Return the pairs and their mirror images, and further copies that turn more.
-
-        Args:
-            copies: how often each is there; the first is as it was.
-            rng: of the rotations of the others.
-        """
-        # Mirror images first, then further rotations of both.
-        fields = np.concatenate([self.fields, mirrored(self.fields)])
-        rotations = np.concatenate([self.rotations, MIRROR * self.rotations])
-        parts = [ImagePairs(fields, rotations)]
-        C_curr_prev = so3.exp(rotations)
-        for _ in range(copies - 1):
-            # C' = C C_curr_prev: the copy has turned by C after the step.
-            factor = np.exp(rng.normal(0.0, FURTHER_SPREAD, (len(fields), 1)))
-            further = factor * rng.normal(0.0, FURTHER_SIGMA_RAD, (len(fields), 3))
-            C = so3.exp(np.clip(further, -MOST_FURTHER_RAD, MOST_FURTHER_RAD))
-            turned = so3.log(C @ C_curr_prev)
-            parts.append(ImagePairs(rotated(fields, C).astype(np.float32), turned))
-        return ImagePairs.joined(parts)
 
 
 def read_pairs(

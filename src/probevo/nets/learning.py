@@ -27,6 +27,8 @@ from probevo.nets.network_file import read_facts, read_network_file, write_netwo
 from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 
+Augment = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+"""Takes inputs [B, …], targets of H heads [B, H, o] and a key; returns one random copy of each."""
 Show = Callable[[int, int], None]
 """A function of the number of epochs done and of their total number."""
 _INITIAL, _EPOCHS, _HELD_OUT = range(3)
@@ -43,6 +45,8 @@ class LearningPlan:
     learning_rate: float = 1e-4
     momentum: float = 0.0
     """Momentum; only with "sgd"."""
+    copies: int = 1
+    """Times that an epoch uses each datum, or random copies of it."""
     shuffle: bool = True
     """Whether each epoch has another order of the data. What does not fill a batch is left out."""
     patience: int | None = None
@@ -56,7 +60,7 @@ class LearningPlan:
     seed: int = 0
 
 
-class TrainingData(NamedTuple):
+class TrainingData(eqx.Module):
     """Training and validation data of S experiments with M networks each."""
 
     inputs: jax.Array
@@ -69,6 +73,8 @@ class TrainingData(NamedTuple):
     """[S, N', i]; N' may be 0 where there is no ``patience``."""
     held_out_targets: jax.Array
     """True values, [S, N', o]."""
+    augment: Augment | None = eqx.field(static=True, default=None)
+    """Makes the random copies that networks learn from in place of the data; None for none."""
 
 
 class LearningState(NamedTuple):
@@ -158,7 +164,7 @@ def learn(
 
 def _check(data: TrainingData, plan: LearningPlan) -> None:
     """Refuse a plan that the data do not allow."""
-    num_data = data.inputs.shape[1]
+    num_data = data.inputs.shape[1] * plan.copies
     if not 1 <= plan.batch <= num_data:
         what = f"is {plan.batch}; there are {num_data} data to train on."
         raise InputError("batch", what, "Take a smaller batch, or more data.")
@@ -222,11 +228,17 @@ def _compiled_epoch(
     optimizer = _optimizer(plan)
 
     def train_one(
-        network: Network, optimizer_state: Any, data: tuple[jax.Array, ...], key: jax.Array
+        network: Network,
+        optimizer_state: Any,
+        data: tuple[jax.Array, ...],
+        key: jax.Array,
+        *,
+        augment: Augment | None,
     ) -> tuple[Network, Any]:
         """Train one network for an epoch."""
         # Inputs [N, i], targets [N, H, o], and which data the network has, [N]
         inputs, targets, chosen = data
+        chosen = jnp.tile(chosen, plan.copies)
         num_batches = len(chosen) // plan.batch
         # Batches of the data in a random order; what does not fill the last one is left out.
         key_of_order, key_of_dropout = jax.random.split(key)
@@ -240,10 +252,12 @@ def _compiled_epoch(
             """Take one step of the optimiser, by one batch."""
             current, current_state = carry
             rows, batch_key = batch
+            seen = inputs[rows]
+            wanted = targets[rows]
+            if augment is not None:
+                seen, wanted = augment(seen, wanted, jax.random.fold_in(batch_key, 1))
             gradient = jax.grad(
-                lambda trained: methods.loss(
-                    space, trained, inputs[rows], targets[rows], key=batch_key
-                )
+                lambda trained: methods.loss(space, trained, seen, wanted, key=batch_key)
             )(current)
             update, new_state = optimizer.update(gradient, current_state, current)
             return (optax.apply_updates(current, update), new_state), None
@@ -253,17 +267,16 @@ def _compiled_epoch(
         )
         return trained, trained_state
 
-    # Networks of an experiment share its inputs.
-    over_networks = jax.vmap(train_one, in_axes=(0, 0, (None, 0, 0), 0))
-    over_experiments = jax.vmap(over_networks)
-
     @jax.jit
     def run_epoch(state: LearningState, data: TrainingData, key: jax.Array) -> LearningState:
         """Train all networks for an epoch, and evaluate them on the data left out."""
         # The keys depend on the seed and the number of the epoch alone.
         epoch_key = jax.random.fold_in(jax.random.fold_in(key, _EPOCHS), state.epoch)
         keys = jax.random.split(epoch_key, data.samples.shape[:2])
-        networks, optimizer_state = over_experiments(
+        # Networks of an experiment share its inputs.
+        train = partial(train_one, augment=data.augment)
+        over_networks = jax.vmap(train, in_axes=(0, 0, (None, 0, 0), 0))
+        networks, optimizer_state = jax.vmap(over_networks)(
             state.networks,
             state.optimizer,
             (data.inputs, data.targets, data.samples),

@@ -29,7 +29,7 @@ from probevo.nets import methods
 from probevo.nets.calibration import BLOCK
 from probevo.nets.extra import require_nets
 from probevo.nets.image_pairs import facts_of
-from probevo.nets.learning import Learned, LearningPlan, TrainingData, learn
+from probevo.nets.learning import Augment, Learned, LearningPlan, TrainingData, learn
 from probevo.nets.methods import Build, Method
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
@@ -73,6 +73,11 @@ class TrainingRun:
         return len(self.recordings) - self.settings.left_out
 
     @property
+    def num_copies(self) -> int:
+        """Random copies of each datum in an epoch, as many of them mirrored as not."""
+        return 2 * self.settings.copies
+
+    @property
     def total(self) -> int:
         """Frames to go through, all epochs counted."""
         return self.num_frames * (1 + self.settings.epochs)
@@ -85,6 +90,7 @@ class TrainingRun:
         *,
         learned: tuple[FloatArray, FloatArray],
         left_out: tuple[FloatArray, FloatArray],
+        augment: Augment | None = None,
     ) -> Learned:
         """Train one network, resuming where an earlier call was stopped.
 
@@ -96,6 +102,7 @@ class TrainingRun:
             build: makes a network to begin with.
             learned: inputs [N, …] and targets [N, …] to learn from.
             left_out: the same of what only says when to stop.
+            augment: makes random copies of what is learned from, as many as the settings say.
         """
         settings = self.settings
         # The file's name depends on all that the training depends on.
@@ -104,11 +111,19 @@ class TrainingRun:
             method,
             space,
             build,
-            data=_one_network(method, space, settings.seed, learned=learned, left_out=left_out),
+            data=_one_network(
+                method,
+                space,
+                settings.seed,
+                learned=learned,
+                left_out=left_out,
+                augment=augment,
+            ),
             plan=LearningPlan(
                 epochs=settings.epochs,
                 batch=settings.batch,
                 learning_rate=settings.learning_rate,
+                copies=1 if augment is None else self.num_copies,
                 patience=settings.patience,
                 calibrated_after=True,
                 keep_every=1,
@@ -143,6 +158,7 @@ def _one_network(
     *,
     learned: tuple[FloatArray, FloatArray],
     left_out: tuple[FloatArray, FloatArray],
+    augment: Augment | None,
 ) -> TrainingData:
     """Return the data of one experiment of one network: with leading dimensions of 1."""
     # Noise of the targets and bootstrap samples are drawn once, by the seed.
@@ -156,6 +172,7 @@ def _one_network(
         samples=jnp.asarray(samples[None]),
         held_out_inputs=jnp.asarray(left_out[0][None], jnp.float32),
         held_out_targets=jnp.asarray(left_out[1][None], jnp.float32),
+        augment=augment,
     )
 
 

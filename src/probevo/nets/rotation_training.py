@@ -15,8 +15,9 @@ from probevo.geometry import so3
 from probevo.nets import quaternions
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.domain import Domain
-from probevo.nets.field_network import LinearFit, field_network, linear_estimates, linear_fit
+from probevo.nets.field_network import FieldFit, field_network, fit_fields
 from probevo.nets.image_pairs import ImagePairs, check_recording, read_pairs
+from probevo.nets.random_copies import RandomCopies, turned_pairs
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, method_of
 from probevo.nets.trained_network import (
@@ -78,29 +79,36 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
 
 def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
-    # The last recordings are left out; only the others are multiplied.
+    # The last recordings are left out; of the others, copies are learned from.
     settings = run.settings
-    learned = ImagePairs.joined(pairs[: run.split]).multiplied(
-        settings.copies, np.random.default_rng(settings.seed)
-    )
+    learned = ImagePairs.joined(pairs[: run.split])
     left_out = pairs[run.split :]
     joined = ImagePairs.joined(left_out)
     method = method_of(settings.heads)
-    linear = linear_fit(learned.fields, learned.rotations / SPACE.unit_rad)
+    copies = RandomCopies(
+        turned_pairs,
+        learned.fields,
+        _quaternions(learned.rotations),
+        count=run.num_copies,
+        seed=settings.seed,
+    )
+    fit = fit_fields((fields, _vectors(q) / SPACE.unit_rad) for fields, q in copies)
     # The regression stays as it is; what is trained is added to it.
     trained = run.learn(
         method,
         SPACE,
-        partial(field_network, space=SPACE, fields=learned.fields, linear=linear),
+        partial(field_network, space=SPACE, fit=fit),
         learned=(learned.fields, _quaternions(learned.rotations)),
         left_out=(joined.fields, _quaternions(joined.rotations)),
+        augment=turned_pairs,
     )
     # Domain, facts, and calibration on what was left out.
     networks = trained.networks
     domain = Domain.of(
-        trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
+        np.concatenate([trunk_features(networks, fields) for fields, _ in copies]),
+        trunk_features(networks, joined.fields),
     )
-    of_linear = linear_errors(linear, learned, joined)
+    of_linear = linear_errors(fit, joined)
     first = {
         **first_facts(KIND, method),
         "scale": 1.0,
@@ -110,11 +118,11 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     return calibrated(RotationNetwork(networks, domain, first), left_out)
 
 
-def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) -> FloatArray:
+def linear_errors(fit: FieldFit, pairs: ImagePairs) -> FloatArray:
     """Return the errors of the linear regression alone, [N, 3], rad, on pairs left out."""
     # Outputs are in units of 0.01 rad; errors are left perturbations, Log(C C_trueᵀ).
-    estimated = SPACE.unit_rad * linear_estimates(linear, learned.fields, left_out.fields)
-    errors: FloatArray = so3.log(so3.exp(estimated) @ so3.exp(-left_out.rotations))
+    estimated = SPACE.unit_rad * fit.estimates(pairs.fields)
+    errors: FloatArray = so3.log(so3.exp(estimated) @ so3.exp(-pairs.rotations))
     return errors
 
 
@@ -169,3 +177,8 @@ def calibrated(network: RotationNetwork, left_out: Collection[ImagePairs]) -> Ro
 def _quaternions(rotation_vectors: FloatArray) -> FloatArray:
     """Return unit quaternions, [N, 4], scalar first, of rotation vectors, [N, 3], rad."""
     return np.asarray(quaternions.exp(jnp.asarray(rotation_vectors, jnp.float32)))
+
+
+def _vectors(q: FloatArray) -> FloatArray:
+    """Return rotation vectors, [N, 3], rad, of unit quaternions, [N, 4], scalar first."""
+    return np.asarray(quaternions.log(jnp.asarray(q, jnp.float32)), np.float64)

@@ -14,8 +14,9 @@ from probevo.arrays import FloatArray
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import Domain
-from probevo.nets.field_network import field_network, linear_estimates, linear_fit
+from probevo.nets.field_network import field_network, fit_fields
 from probevo.nets.methods import Method
+from probevo.nets.random_copies import RandomCopies, turned_views
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.sun_network import KIND, SPACE, SunNetwork, method_of, method_text
 from probevo.nets.sun_views import (
@@ -85,36 +86,42 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
 
 def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
-    # The last recordings are left out; only the others are multiplied.
+    # The last recordings are left out; of the others, copies are learned from.
     settings = run.settings
-    learned = SunViews.joined(views[: run.split]).multiplied(
-        settings.copies, np.random.default_rng(settings.seed)
-    )
+    learned = SunViews.joined(views[: run.split])
     left_out = views[run.split :]
     joined = SunViews.joined(left_out)
     method = method_of(settings)
-    linear = linear_fit(learned.fields, learned.directions, RIDGE)
+    copies = RandomCopies(
+        turned_views,
+        learned.fields,
+        learned.directions,
+        count=run.num_copies,
+        seed=settings.seed,
+    )
+    fit = fit_fields(copies, RIDGE)
     # The regression stays as it is; what is trained is added to it.
     trained = run.learn(
         method,
         SPACE,
-        partial(field_network, space=SPACE, fields=learned.fields, linear=linear),
+        partial(field_network, space=SPACE, fit=fit),
         learned=(learned.fields, learned.directions),
         left_out=(joined.fields, joined.directions),
+        augment=turned_views,
     )
     # Domain, facts, and calibration on what was left out.
     networks = trained.networks
-    domain = Domain.of(image_statistics(learned.fields), image_statistics(joined.fields))
+    of_copies = [(image_statistics(fields), directions) for fields, directions in copies]
+    statistics, directions = (np.concatenate(parts) for parts in zip(*of_copies, strict=True))
+    domain = Domain.of(statistics, image_statistics(joined.fields))
     first = {
         **first_facts(KIND, method),
         "scale": 1.0,
         "correlation": 1.0,
         "baseline_deg": {
-            "linear regression": _median_deg(
-                linear_estimates(linear, learned.fields, joined.fields), joined.directions
-            ),
+            "linear regression": _median_deg(fit.estimates(joined.fields), joined.directions),
             "mean direction": _median_deg(
-                np.tile(learned.directions.mean(axis=0), (len(joined), 1)), joined.directions
+                np.tile(directions.mean(axis=0), (len(joined), 1)), joined.directions
             ),
         },
         **run.facts(trained),

@@ -18,8 +18,7 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.geometry import so3
-from probevo.nets.flow_field import CELL_PX, FOCAL_PX, LEAST_LEVELS, cell_means, virtual_view
+from probevo.nets.flow_field import CELL_PX, LEAST_LEVELS, cell_means, virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
@@ -29,9 +28,6 @@ MOST_BYTES = 10_000
 CURE = "Write the direction towards the sun into it, x y z, in the frame of the first camera."
 CHANNELS = 4
 """Level, contrast, and gradients along x and y."""
-FEWEST_CELLS = 2
-MOST_CELLS = 8
-"""Range of the sideways shift of augmented copies, in cells: rotations of 2.5 to 10°."""
 NUM_STATISTICS = 2 * CHANNELS - 1
 """Numbers that ``image_statistics`` gives."""
 LEAST_SPREAD = 1e-3
@@ -60,42 +56,6 @@ class SunViews:
             np.concatenate([part.fields for part in parts]),
             np.concatenate([part.directions for part in parts]),
         )
-
-    def with_mirrored(self) -> SunViews:
-        """Return the images and their mirror images, in which the sun is on the other side."""
-        fields = self.fields[..., ::-1].copy()
-        # Channel 2 is the gradient along x, which changes its sign as x does.
-        fields[:, 2] *= -1.0
-        return SunViews(
-            np.concatenate([self.fields, fields]),
-            np.concatenate([self.directions, self.directions * np.array([-1.0, 1.0, 1.0])]),
-        )
-
-    def multiplied(self, copies: int, rng: np.random.Generator) -> SunViews:
-        """Return the images and their mirror images, and further copies that are turned aside.
-
-        A camera that turns about its vertical axis sees a distant street moved sideways, and the
-        sun turned by the same angle. Columns that come into view repeat the last one.
-
-        Args:
-            copies: how often each is there; the first is as it was.
-            rng: of the turns of the others.
-        """
-        views = self.with_mirrored()
-        parts = [views]
-        for _ in range(copies - 1):
-            cells = rng.integers(FEWEST_CELLS, MOST_CELLS + 1, len(views))
-            cells *= rng.choice([-1, 1], len(views))
-            # Content that moves to larger x has a camera that turns to the left: the sun turns
-            # about +y, from z to x.
-            columns = np.arange(views.fields.shape[-1])[None] - cells[:, None]
-            columns = np.clip(columns, 0, views.fields.shape[-1] - 1)
-            fields = np.take_along_axis(views.fields, columns[:, None, None, :], axis=-1)
-            angles = np.arctan(cells * CELL_PX / FOCAL_PX)
-            turn = so3.exp(np.stack([0.0 * angles, angles, 0.0 * angles], axis=1))
-            directions = (turn @ views.directions[..., None])[..., 0]
-            parts.append(SunViews(fields, directions))
-        return SunViews.joined(parts)
 
 
 def sun_field(image: Image, camera: StereoCamera) -> FloatArray:

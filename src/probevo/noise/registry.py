@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
+from probevo.entry_points import entry_points
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel, NoiseModel
 from probevo.noise.fixed import Fixed

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from importlib.metadata import entry_points
 
+from probevo.entry_points import entry_points
 from probevo.errors import LOAD_ERRORS, InputError
 from probevo.predictors.acceleration import ACCELERATION
 from probevo.predictors.age import AGE

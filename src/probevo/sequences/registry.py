@@ -12,12 +12,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from probevo.entry_points import entry_points
 from probevo.errors import LOAD_ERRORS, InputError, brief
 from probevo.sequences.format_options import (
     VIDEO_SUFFIXES,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.geometry import se3
@@ -130,8 +131,8 @@ def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]
     reach_m = MAP_CELL_M + float(ground.edge_m[:-1].max(initial=0.0))
 
     # Points of the centre line, closer together than a block is wide.
-    along_m = np.arange(-LEAD_M, ground.route.length_m + LEAD_M, BLOCK_M / 4.0)
-    line_m = ground.route.place(along_m, np.zeros_like(along_m))[:, :2, 3]
+    spacing_m = BLOCK_M / 4.0
+    line_m = _line(ground, LEAD_M, spacing_m)[:, :2, 3]
 
     # Number the blocks within reach of any of them.
     around = np.arange(-np.ceil(reach_m / BLOCK_M) - 1, np.ceil(reach_m / BLOCK_M) + 2)
@@ -142,11 +143,28 @@ def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]
     blocks = np.full(near.max(axis=0)[::-1] + 1, -1)
     blocks[near[:, 1], near[:, 0]] = np.arange(len(near))
 
-    # The distance from the centre line at the nodes of these blocks.
+    # The distance from the centre line at the nodes of these blocks: roughly that from the nearest
+    # of its points, positive to the left.
     steps_m = MAP_CELL_M * np.arange(BLOCK_CELLS + 1)
-    nodes_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
-    distance_m = [ground.route.nearest(corner_m + BLOCK_M * block + nodes_m)[1] for block in near]
-    return corner_m, blocks, np.array(distance_m, dtype=np.float32)
+    in_block_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
+    nodes_m = (corner_m + BLOCK_M * near)[:, None, None] + in_block_m
+    T_world_line = _line(ground, LEAD_M + BLOCK_M * len(around), spacing_m)
+    rough_m, nearest = KDTree(T_world_line[:, :2, 3]).query(nodes_m)
+    T_world_nearest = T_world_line[nearest]
+    to_node_m = nodes_m - T_world_nearest[..., :2, 3]
+    distance_m = np.copysign(rough_m, np.sum(T_world_nearest[..., :2, 1] * to_node_m, axis=-1))
+
+    # In the cells that the bands reach into, it is exact. Of the others it only matters that they
+    # are beyond. A rough distance is too large by half the spacing at most.
+    is_reached = rough_m <= reach_m + 0.5 * spacing_m + 2.0 * MAP_CELL_M
+    distance_m[is_reached] = ground.route.nearest(nodes_m[is_reached])[1]
+    return corner_m, blocks, distance_m.astype(np.float32)
+
+
+def _line(ground: Ground, lead_m: float, spacing_m: float) -> FloatArray:
+    """Return T_world_line, [N, 4, 4], m, of points of the centre line; their y is to its left."""
+    along_m = np.arange(-lead_m, ground.route.length_m + lead_m, spacing_m)
+    return ground.route.place(along_m, np.zeros_like(along_m))
 
 
 class View(NamedTuple):
