@@ -556,6 +556,21 @@ def test_a_motion_that_cannot_be_contradicted_stands() -> None:
     np.testing.assert_array_equal(T_reference, solution.T_curr_prev)
 
 
+@pytest.mark.parametrize(("right_error_px", "agrees"), [(0.0, False), (30.0, True)])
+def test_right_images_that_are_known_to_be_off_contradict_nothing(
+    right_error_px: float, agrees: bool
+) -> None:
+    """All current right images are 3 px off, as by a delay that was not removed."""
+    tracks = street_and_car((0.2, 0.2), FORWARD)
+    off = replace(
+        tracks,
+        curr_px=tracks.curr_px + np.array([0.0, 0.0, 3.0, 0.0]),
+        right_error_px=np.tile([right_error_px, 0.0], (150, 1)),
+    )
+    solution, T_reference = reference_of(tracks, KnownNoise(0.2, 0.2), contradicting=off)
+    assert np.array_equal(T_reference, solution.T_curr_prev) == agrees
+
+
 @pytest.mark.parametrize("predicts_from_motion", [False, True])
 def test_only_a_noise_that_depends_on_earlier_motions_needs_another_reference(
     predicts_from_motion: bool,

@@ -466,11 +466,7 @@ class VisualEstimator:
         noise = self._noise.predict(phi)
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
-        if noise_factor != 1.0:
-            noise = noise.scaled(np.full(len(phi), noise_factor))
-        if tracks.right_error_px is not None:
-            noise = noise.with_right_error(tracks.right_error_px)
-        return noise
+        return _as_corrected(noise, tracks, noise_factor)
 
     def _reference_motion(
         self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
@@ -488,7 +484,7 @@ class VisualEstimator:
         """
         solution = estimate.solution
         equal = StudentT().predict(np.zeros((len(tracks), 0)))
-        equal = equal.scaled(np.full(len(tracks), priors.noise_factor))
+        equal = _as_corrected(equal, tracks, priors.noise_factor)
         plain = self._two_frame.solve(
             tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
@@ -505,6 +501,16 @@ class VisualEstimator:
             plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
         )[0]
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
+
+
+def _as_corrected(noise: StereoNoise, tracks: Tracks, noise_factor: float) -> StereoNoise:
+    """Return noise with its variances multiplied by a factor, and with what correcting the tracks
+    may have left."""
+    if noise_factor != 1.0:
+        noise = noise.scaled(np.full(len(tracks), noise_factor))
+    if tracks.right_error_px is not None:
+        noise = noise.with_right_error(tracks.right_error_px)
+    return noise
 
 
 def num_trusted(estimate: TwoFrameEstimate) -> int:
