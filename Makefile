@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-# The tests start hundreds of processes; without this, each of them may compile all sources again.
+# The tests start a hundred processes; without this, each of them may compile all sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test check style types tests density bench docs docs-figures fuzz clean
