@@ -51,6 +51,24 @@ def test_the_kept_epoch_is_read_and_said(tmp_path: Path, kept: int, epochs: int,
     assert kept_lines(facts) == [f"kept:         {text}"]
 
 
+@pytest.mark.parametrize(("kept", "epochs", "is_limit"), [(38, 40, True), (30, 40, False)])
+def test_a_training_that_ended_by_its_limit_says_so(
+    tmp_path: Path, kept: int, epochs: int, is_limit: bool
+) -> None:
+    """Or by its patience of ten epochs, in the last of which the limit was reached, too."""
+    settings = {"epochs": 40, "patience": 10}
+    facts = read_back(tmp_path, {"kept_epoch": kept, "epochs": epochs, "settings": settings})
+    assert ("it ended at --nets.epochs" in kept_text(facts)) == is_limit
+    before = read_back(tmp_path, {"kept_epoch": 20, "epochs": 30, "settings": settings})
+    assert "--nets.epochs" not in kept_text(before)
+
+
+@pytest.mark.parametrize("settings", [None, [], {"epochs": 40}, {"epochs": 40, "patience": "10"}])
+def test_settings_of_another_form_say_nothing_of_a_limit(tmp_path: Path, settings: object) -> None:
+    facts = read_back(tmp_path, {"kept_epoch": 40, "epochs": 40, "settings": settings})
+    assert kept_text(facts) == "the network after 40 epochs, the last"
+
+
 def test_a_file_without_it_stays_readable(tmp_path: Path) -> None:
     facts = read_back(tmp_path, {})
     assert kept_text(facts) == ""

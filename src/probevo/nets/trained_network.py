@@ -122,9 +122,21 @@ def kept_text(facts: Mapping[str, Any]) -> str:
         return "the initial network; no epoch had a finite loss on what was left out"
     network = f"the network after {_count_of_epochs(kept)}"
     more = facts["epochs"] - kept
-    if more == 0:
-        return f"{network}, the last"
-    return f"{network}; {more} more did not lower the loss on what was left out"
+    text = f"{network}, the last"
+    if more > 0:
+        text = f"{network}; {more} more did not lower the loss on what was left out"
+    if _was_ended_by_limit(facts):
+        text += "; it ended at --nets.epochs, and more may lower it"
+    return text
+
+
+def _was_ended_by_limit(facts: Mapping[str, Any]) -> bool:
+    """Return whether a training ended because of the largest number of epochs alone."""
+    settings = facts.get("settings")
+    if not isinstance(settings, dict) or settings.get("epochs") != facts["epochs"]:
+        return False
+    patience = settings.get("patience")
+    return type(patience) is int and facts["epochs"] - facts["kept_epoch"] < patience
 
 
 def kept_lines(facts: Mapping[str, Any]) -> list[str]:
