@@ -139,8 +139,8 @@ def track_from_best_start(
 def _most_are_lost(found: list[Followed], num_features: int) -> bool:
     """Return whether more than half of the features that are still in view are lost.
 
-    What a fast camera passes is not lost: from the start that keeps most features in view, only
-    those that it keeps count.
+    Those that leave the view are not lost. Their number is that of the start by which the fewest
+    leave it, since from a wrong one, more may seem to.
     """
     if num_features == 0:
         return False
