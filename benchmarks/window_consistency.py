@@ -2,6 +2,7 @@
 
     python benchmarks/window_consistency.py [NOISE] [--drives 50] [--frames 51] [--seed 8000]
                                             [--imu] [--jobs 1] [--only PLACE …] [--out DIR]
+                                            [--picture FILE]
 
 Places are rendered, clean and with effects; beside them there is a world of points whose noise is
 known exactly. Of the live path, every ten frames: NEES of the step, and of the motion over nine
@@ -13,18 +14,22 @@ is that of the mean of so many independent drives, 95 %. The truth of all these 
 By images alone, unless ``--imu`` is given. NOISE is a kind or a file of a noise model,
 ``student-t`` by default; points have the true one. No setting was chosen on these seeds: whoever
 changes the odometry because of what one of them shows takes another ``--seed``. With ``--out``,
-what was found in each drive is kept there, and is not measured again.
+what was found in each drive is kept there, and is not measured again. ``--picture`` draws the
+share of errors within the regions of all probabilities.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import cv2
 import joblib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 import probevo as pv
@@ -35,6 +40,7 @@ from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.noise.base import StereoNoise
 from probevo.noise.named import noise_model
+from probevo.output.svg import CYCLE, MUTED, figure_style
 from probevo.predictors import prediction_space
 from probevo_sim.point_config import PointConfig, PointNoise, PointOutliers
 from probevo_sim.point_world import simulate_points
@@ -53,6 +59,8 @@ SPAN = 9
 EVERY = 10
 MOTIONS = ("1 frame", f"{SPAN} frames", f"{EVERY} since the first", "all since the first")
 REGIONS = (0.5, 0.9, 0.99)
+CLAIMED = np.linspace(0.0, 1.0, 101)
+"""Probabilities of the regions of the picture."""
 
 
 class TrueNoise:
@@ -175,6 +183,40 @@ def rows(place: str, drives: list[FloatArray]) -> list[str]:
     return lines
 
 
+def draw(found: dict[str, list[FloatArray]], path: Path) -> None:
+    """Draw how many errors are inside of the regions that should hold so many, for each motion.
+
+    Args:
+        found: the squared errors of each drive, by place.
+        path: of the picture.
+    """
+    with figure_style():
+        figure = Figure(figsize=(9.6, 3.0), facecolor="white", layout="constrained")
+        panels = figure.subplots(1, len(MOTIONS), sharey=True)
+        for motion, (axes, name) in enumerate(zip(panels, MOTIONS, strict=True)):
+            _draw_motion(axes, motion, found)
+            axes.set_title(name)
+        panels[0].set_ylabel("errors inside, %")
+        lines, places = panels[0].get_legend_handles_labels()
+        figure.legend(lines, places, loc="outside lower center", ncols=len(places))
+        figure.savefig(path, dpi=120)
+
+
+def _draw_motion(axes: Axes, motion: int, found: dict[str, list[FloatArray]]) -> None:
+    """Draw a line for each place; on the diagonal, errors are what is claimed."""
+    percent = 100.0 * CLAIMED
+    axes.plot(percent, percent, color=MUTED, lw=0.8, ls="--")
+    bounds = chi2.ppf(CLAIMED, 6)
+    for (place, drives), color in zip(found.items(), cycle(CYCLE)):
+        errors = np.concatenate(drives)
+        squared = np.sort(errors[errors[:, 0] == motion, 1])
+        inside = np.searchsorted(squared, bounds) / len(squared)
+        style = ":" if place.endswith("effects") else "-"
+        axes.plot(percent, 100.0 * inside, color=color, ls=style, label=place)
+    axes.set_xlabel("claimed, %")
+    axes.set_aspect("equal")
+
+
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(
@@ -188,6 +230,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=PLACES, default=PLACES)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     if given.frames <= EVERY or given.frames % EVERY != 1:
         parser.error(f"--frames {given.frames}: give a multiple of {EVERY}, and one more.")
@@ -201,12 +244,15 @@ def main() -> None:
         given.out.mkdir(parents=True, exist_ok=True)
     print(f"| place | motion | mean | median | interval | inside of {REGIONS} |")
     print("|---|---|---|---|---|---|")
+    found = {}
     for place in given.only:
         seeds = range(given.seed, given.seed + given.drives)
-        drives = joblib.Parallel(n_jobs=given.jobs)(
+        found[place] = joblib.Parallel(n_jobs=given.jobs)(
             joblib.delayed(drive)(place, seed, given) for seed in seeds
         )
-        print("\n".join(rows(place, drives)), flush=True)
+        print("\n".join(rows(place, found[place])), flush=True)
+    if given.picture is not None:
+        draw(found, given.picture)
 
 
 if __name__ == "__main__":

@@ -101,8 +101,9 @@ class WarpedPixels(NamedTuple):
 
     corner: IntArray
     """Index, in the flat image, of the whole pixel to the upper left, [area], int32."""
-    fraction: FloatArray
-    """Offset from that whole pixel, [2, area], px."""
+    weights: FloatArray
+    """Weights of the spline's four columns and four rows around each, by its offset from that whole
+    pixel, [8, area]."""
 
 
 @compiled
@@ -203,7 +204,7 @@ def align_patches(
         np.empty((6, area), np.float32),
         np.empty(area, np.float32),
     )
-    warped = WarpedPixels(np.empty(area, np.int32), np.empty((2, area), np.float32))
+    warped = WarpedPixels(np.empty(area, np.int32), np.empty((8, area), np.float32))
     error = np.empty(area, np.float32)
     information = np.empty((6, 6))
     lower = np.empty((6, 6))
@@ -491,7 +492,7 @@ def _warp(
     u, v = center
     height, width = shape
     corner = warped.corner
-    fraction = warped.fraction
+    weights = warped.weights
     # If the whole patch is inside, the loop below needs no check for each pixel. The spline needs
     # one more pixel on each side.
     x, y = reach_px
@@ -515,9 +516,17 @@ def _warp(
         down = center_down + c * position[0, i] + d * position[1, i]
         column = np.int32(right)
         row = np.int32(down)
-        fraction[0, i] = right - np.float32(column)
-        fraction[1, i] = down - np.float32(row)
         corner[i] = base + row * np.int32(width) + column
+        of_columns = _spline_weights(right - np.float32(column))
+        weights[0, i] = of_columns[0]
+        weights[1, i] = of_columns[1]
+        weights[2, i] = of_columns[2]
+        weights[3, i] = of_columns[3]
+        of_rows = _spline_weights(down - np.float32(row))
+        weights[4, i] = of_rows[0]
+        weights[5, i] = of_rows[1]
+        weights[6, i] = of_rows[2]
+        weights[7, i] = of_rows[3]
     return True
 
 
@@ -539,19 +548,17 @@ def _subtract(
         error: out.
     """
     corner = warped.corner
-    fraction = warped.fraction
+    weights = warped.weights
     for i in range(len(corner)):
-        along = _spline_weights(fraction[0, i])
-        down = _spline_weights(fraction[1, i])
         # Four by four coefficients, from one pixel to the upper left of the corner on.
         total = -brightness[i]
         k = np.uintp(corner[i]) - np.uintp(width) - np.uintp(1)
         for row in range(4):
-            total += down[row] * (
-                along[0] * flat_coefficients[k]
-                + along[1] * flat_coefficients[k + np.uintp(1)]
-                + along[2] * flat_coefficients[k + np.uintp(2)]
-                + along[3] * flat_coefficients[k + np.uintp(3)]
+            total += weights[4 + row, i] * (
+                weights[0, i] * flat_coefficients[k]
+                + weights[1, i] * flat_coefficients[k + np.uintp(1)]
+                + weights[2, i] * flat_coefficients[k + np.uintp(2)]
+                + weights[3, i] * flat_coefficients[k + np.uintp(3)]
             )
             k += np.uintp(width)
         error[i] = total
