@@ -153,12 +153,13 @@ def drive(
     *,
     points: int = 150,
     sigma_px: float = 0.2,
+    depth_m: tuple[float, float] = (5.0, 60.0),
 ) -> list[Frame]:
     """Return the features of a drive whose every step is the same motion, a circle, or rather a
     screw; or whose motions are given, [frames, 4, 4].
 
-    A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m
-    away, takes its place.
+    A point is followed until it leaves the image or comes nearer than 3/5 of the least depth; a
+    new one takes its place.
     """
     ids = np.zeros(0, np.int64)
     pixels = np.zeros((0, 4))
@@ -167,12 +168,12 @@ def drive(
     for index in range(frames):
         motion = T_curr_prev if T_curr_prev.ndim == 2 else T_curr_prev[index]
         points_m = se3.transform(motion, CAMERA.triangulate(pixels))
-        ahead = points_m[:, 2] > 3.0
+        ahead = points_m[:, 2] > 0.6 * depth_m[0]
         pixels = CAMERA.project(points_m[ahead])
         ids = ids[ahead]
         inside = np.all((pixels[:, :2] >= 0.0) & (pixels[:, :2] < [WIDTH_PX, HEIGHT_PX]), axis=1)
         missing = points - int(inside.sum())
-        pixels = np.vstack([pixels[inside], random_pixels(rng, missing)])
+        pixels = np.vstack([pixels[inside], random_pixels(rng, missing, depth_m)])
         ids = np.r_[ids[inside], next_id + np.arange(missing)]
         next_id += missing
         noisy = pixels + sigma_px * rng.normal(size=pixels.shape)

@@ -26,6 +26,7 @@ from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window.inertial import (
     Inertial,
+    knows_next_motion,
     may_bridge,
     trusts_gyro,
     uses_imu,
@@ -115,7 +116,10 @@ class Prediction:
             if a window with an IMU bridges the frames between.
         """
         usable = self.state.last_usable
-        if usable is None or not _may_enter(self.state.window, usable.state.frame):
+        window = self.state.window
+        if usable is None or (window is not None and may_bridge(window)):
+            return None
+        if window is not None and usable.state.frame.index not in window.frames:
             return None
         duration_s = usable.path.duration_s + self.duration_s
         if duration_s > MOST_DURATION_S:
@@ -323,7 +327,7 @@ def motion_for_window(
 
     Dead-reckoned steps all have the error of the same velocity, so they are not independent. Their
     motion is therefore measured from the last usable frame, as long as the window has it, and not
-    from the previous frame.
+    from the previous frame; unless the IMU knows the motion from there.
 
     Args:
         window: the window before the step.
@@ -334,7 +338,8 @@ def motion_for_window(
     curr = pose_of(prediction.frame.index)
     # None if the motion was solved: a solved one is measured from where it starts.
     usable = prediction.state.last_usable_after(prediction.duration_s, motion)
-    if usable is not None and _may_enter(window, usable.state.frame):
+    has_usable = usable is not None and usable.state.frame.index in window.frames
+    if usable is not None and has_usable and not knows_next_motion(window):
         path = usable.path
         return RelativePose(
             path.T_prev_usable, path.cov, curr=curr, prev=pose_of(usable.state.frame.index)
@@ -342,8 +347,3 @@ def motion_for_window(
     return RelativePose(
         motion.T_curr_prev, motion.cov, curr=curr, prev=pose_of(prediction.state.frame.index)
     )
-
-
-def _may_enter(window: Window | None, frame: Frame) -> bool:
-    """Return whether a motion that starts at this frame can be measured in the window."""
-    return window is None or (not may_bridge(window) and frame.index in window.frames)

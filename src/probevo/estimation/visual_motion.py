@@ -52,6 +52,10 @@ MINORITY_FACTOR = 2
 the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
 Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
 all on one; one of these was 0.4 m off and claimed 9 mm."""
+LEAST_SHIFT_PX = 1.0
+"""Median shift of the features from which on their residuals show the noise. A feature's error
+depends on its place between the pixels: it is another one a pixel further, and the same one where
+the image has hardly moved."""
 MOTIONS_DIFFER_FROM = 22.46
 """Squared Mahalanobis distance beyond which two motions of the same tracks differ significantly:
 the 99.9 % quantile of χ²(6)."""
@@ -148,12 +152,15 @@ class _Solve:
         """Return the factor by which the variances of the noise model would fit the residuals.
 
         None where they do not show it: Gaussian noise has no room for outliers, so that its scale
-        is no measure of theirs; and at rest a feature has the same error in both frames.
+        is no measure of theirs; and a feature that has hardly moved has the same error in both
+        frames (``LEAST_SHIFT_PX``).
 
         Args:
             solution: these tracks, under their noise and without any earlier frame.
         """
-        if not (np.isfinite(self.noise.dof).all() and solution.is_motion):
+        shift_px = np.linalg.norm(self.tracks.curr_px[:, :2] - self.tracks.prev_px[:, :2], axis=1)
+        has_moved = solution.is_motion and np.median(shift_px) >= LEAST_SHIFT_PX
+        if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
         dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
         return self.noise_factor * scale_of_residuals(solution.squared, dof)

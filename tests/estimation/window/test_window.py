@@ -848,6 +848,20 @@ def test_landmarks_of_one_age_still_connect_the_last_frames() -> None:
         assert np.sqrt(np.diag(cov)[-POSE:]).max() < 0.1
 
 
+def test_landmarks_settle_however_well_or_badly_they_fit() -> None:
+    """At fixed poses, also those with the one observation with which they have begun anew, and
+    with heavy tails, whose curvature is far from that of the quadratic loss."""
+    by = estimator(4)
+    frames = drive(np.random.default_rng(68), 9, points=150, sigma_px=3.0 * SIGMA_PX)
+    window = windows_of(frames, by, dof=2.5)[-1]
+    assert np.diff(window.observations.start).min() == 1
+    for _ in range(60):
+        before = window.landmarks.state
+        system = by._system(window)
+        window = by._incremented(system, np.zeros(len(system.equations.gradient)))
+    assert np.abs(window.landmarks.state - before).max() < 1e-3
+
+
 def test_a_pose_that_is_kept_keeps_no_window() -> None:
     """The path of a long run holds a pose of each frame: it must not hold the covariances of all
     windows with them."""

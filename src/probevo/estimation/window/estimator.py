@@ -51,7 +51,7 @@ from probevo.estimation.window.equations import (
     WindowLandmarks,
     WindowObservations,
 )
-from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.further_measurements import tested_against, with_measurements
 from probevo.estimation.window.inertial_states import InertialSystem
 from probevo.estimation.window.jitter_elimination import (
     JitterElimination,
@@ -268,13 +268,13 @@ class WindowEstimator:
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         window = inertial.without_factor_if_worse(window, motion)
-        guess = inertial.predicted_motion(window)
-        if guess is None:
-            guess = motion.T_curr_prev
-        prev = window.slot(motion.variables[0].frame)
+        # What is known of the motion before the sensors tell theirs.
+        reckoned = _bounded(inertial.predicted_motion(window, frame) or motion)
+        measurements, guess = tested_against(reckoned, measurements, window)
+        prev = window.slot(reckoned.variables[0].frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         # A corrected motion is one of the measurements already, and must not count twice.
-        if all(one is not motion for one in measurements):
+        if all(one is not motion for one in given):
             if inertial.bridges_newest(extended):
                 measurements = [*measurements, *in_motion]
             else:
@@ -327,13 +327,13 @@ class WindowEstimator:
         """Return the window with no more frames than the settings say.
 
         Blind frames come on top, as many as other ones at most, until a later frame has features:
-        what was seen before may then be found again. With an IMU that may bridge them, they are
-        frames like others.
+        what was seen before may then be found again, and their dead reckoning is measured from
+        there. With an IMU that is used, they are frames like others.
         """
         window = replace(window, marginalized=())
         window = inertial.without_imu_if_untestable(window, self._most_frames)
         limit = self._config.frames
-        if not inertial.may_bridge(window):
+        if not inertial.uses_imu(window):
             leaving = window.is_blind.copy()
             leaving[-2:] = False  # the last step leads from one to the other
             if window.is_blind[-1]:
@@ -419,7 +419,7 @@ class WindowEstimator:
             bias=bias,
         )
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
-        # so that the pose may still be linearised anew (``_moved``).
+        # so that the pose may still be linearised anew (``_incremented``).
         T_new = T_curr_prev @ window.T_cam_world[prev]
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now

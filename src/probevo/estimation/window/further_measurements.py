@@ -7,9 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from probevo.arrays import FloatArray
+from probevo.estimation import gauss_newton
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.window import MarginalPrior, Window
+from probevo.geometry import se3
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
+from probevo.measurements.relative_pose import RelativePose
 
 
 def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Window:
@@ -44,3 +48,35 @@ def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Wi
         information[np.ix_(joint, joint)] += linear.hessian
         vector[joint] += linear.gradient + linear.hessian @ x[joint]
     return replace(window, prior=MarginalPrior(information, vector))
+
+
+def tested_against(
+    motion: RelativePose, measurements: Sequence[Measurement], window: Window
+) -> tuple[list[Measurement], FloatArray]:
+    """Weigh measurements of the next pose by how well they agree with a dead-reckoned motion, and
+    combine all of them.
+
+    A window linearises its measurements once. Where a precise sensor contradicts the dead-reckoned
+    motion by tens of degrees, that has to be at the pose that follows from both.
+
+    Args:
+        motion: from a frame of the window to the next one, by dead reckoning.
+        measurements: of poses of the window and of the next one.
+        window: K frames, without the next one.
+
+    Returns:
+        The measurements, and the most likely T_curr_prev, [4, 4], m.
+    """
+    if not measurements:
+        return [], motion.T_curr_prev
+    T_prev_world = window.T_cam_world[window.slot(motion.variables[0].frame)]
+    values = dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
+    values[motion.curr] = motion.T_curr_prev @ T_prev_world
+    weighed = [
+        one.weighed(values, motion.covariance, of=motion.curr)
+        if isinstance(one, VectorMeasurement) and motion.curr in one.variables
+        else one
+        for one in measurements
+    ]
+    optimum = gauss_newton.minimize([motion, *weighed], values, [motion.curr])
+    return weighed, optimum.values[motion.curr] @ se3.inverse(T_prev_world)

@@ -267,6 +267,12 @@ def may_bridge(window: Window) -> bool:
     return window.inertial.status not in (ImuStatus.UNUSABLE, ImuStatus.EXCLUDED)
 
 
+def knows_next_motion(window: Window) -> bool:
+    """Return whether the IMU of a window predicts the motion to the next frame, so that no other
+    dead reckoning is needed."""
+    return window.inertial is not None and window.inertial.prediction is not None
+
+
 def has_measured(window: Window) -> bool:
     """Return whether a window has an IMU whose samples have covered any interval so far."""
     return window.inertial is not None and window.inertial.has_measured
@@ -354,12 +360,14 @@ def without_factor_if_worse(window: Window, motion: RelativePose) -> Window:
     return replace(window, inertial=unused)
 
 
-def predicted_motion(window: Window) -> FloatArray | None:
-    """Return the motion T_curr_prev to the next frame that the IMU predicts, [4, 4], m, if it
-    does."""
+def predicted_motion(window: Window, frame: int) -> RelativePose | None:
+    """Return the motion from the last frame to the next one, of this index, that the IMU predicts,
+    if it does."""
     if window.inertial is None or window.inertial.prediction is None:
         return None
-    return window.inertial.prediction.T_curr_prev
+    prediction = window.inertial.prediction
+    last = pose_of(int(window.frames[-1]))
+    return RelativePose(prediction.T_curr_prev, prediction.cov, curr=pose_of(frame), prev=last)
 
 
 def reason_unused_in_step(window: Window | None) -> str:

@@ -44,6 +44,10 @@ VELOCITY = 3
 """Components of a velocity in the image: of u, v and d."""
 TESTED = LANDMARK + VELOCITY
 """States of a landmark that is tested for a velocity."""
+LEAST_CURVATURE = 0.75
+"""Least curvature of a landmark, over its weight. The residual of the best fit is orthogonal to its
+own states, so that the Hessian along these is the weight, and steps with less than half of it
+diverge. The mean curvature is less where there is one observation, with one degree of freedom."""
 
 
 class Trust(NamedTuple):
@@ -76,12 +80,12 @@ def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
     weight = _weight(loss, parameter, free, total)
     if loss == STUDENT_T and parameter < INFINITE_DOF:
         # With s = rᵀ r, the cost ½ (ν + n) log(1 + s/ν) has the Hessian w (I − 2 r rᵀ/(ν + s)) in
-        # the white residual r. The curvature is the mean of its n eigenvalues, kept positive.
+        # the white residual r. The curvature is the mean of its n eigenvalues, if that is enough.
         share = 1.0 - 2.0 / free * total / (parameter + total)
         return Trust(
             cost=static_weight * 0.5 * (parameter + free) * math.log1p(total / parameter),
             weight=static_weight * weight,
-            curvature=static_weight * weight * max(0.25, share),
+            curvature=static_weight * weight * max(LEAST_CURVATURE, share),
         )
     scale = free / PIXELS
     return Trust(

@@ -20,6 +20,9 @@ from probevo.geometry import se3
 LARGEST_ATTITUDE_SIGMA_RAD = 0.2
 """Standard deviation of the attitude in the world up to which covariances of poses in the world
 may be subtracted from each other: beyond, their errors of linearisation exceed the difference."""
+LARGEST_POSITION_SHARE = 1e5
+"""Variance of the position in the world, over that of the translation of a step, up to which they
+may be. A position known to 10 m beside a step known to 3 mm has 10⁷."""
 LARGEST_FORESEEN = 22.5
 """Squared length, in units of its covariance, up to which the correction of a pose is what the
 covariance had foreseen: 99.9 % of χ²(6)."""
@@ -34,12 +37,14 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
 
         cov(ε) = cov(ξ_k − Ad ξ_{k−1} after) + Ad (P_{k−1} before − P_{k−1} after) Adᵀ.
 
-    Where the attitude in the world is hardly known, as after many blackouts, P is relative to the
-    oldest frame of the window, of which a new frame tells next to nothing.
+    Where the place in the world is known much less than the step, as after blackouts or a long
+    drive, P is relative to the oldest frame of the window, of which a new frame tells next to
+    nothing.
 
     The correction of e_{k−1} is known once it has been made. Where it is larger than its covariance
     admits, as when the window lets go of a car that it has followed, the step's covariance covers
-    it, too.
+    it, too. So it does with a P that is relative, which does not know how the oldest frame has been
+    corrected.
 
     Args:
         motion: of the last two frames.
@@ -57,7 +62,10 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     # What it has taught of the lenses' distortion removes nothing from that pose.
     cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
-    if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
+    position_variance = np.diagonal(prev_before)[:3].max()
+    step_variance = np.diagonal(relative_cov)[:3].max()
+    is_far = position_variance > LARGEST_POSITION_SHARE * step_variance
+    if is_far or np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
         oldest = before.slot(int(after.frames[0]))
         _, from_oldest_before = before.relative(len(before) - 1, oldest)
         _, from_oldest_after = after.relative(last - 1, 0)
@@ -69,7 +77,9 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         cov = motion.cov
     # T_curr_prev T_relative⁻¹: how far the step moved the previous pose, along the axes of the
     # current frame.
-    cov = cov + _unforeseen(T_curr_prev @ se3.inverse(T_relative), cov)
+    correction = se3.log(T_curr_prev @ se3.inverse(T_relative))
+    if is_far or correction @ np.linalg.solve(cov, correction) > LARGEST_FORESEEN:
+        cov = cov + np.outer(correction, correction)
     # The path's covariance has to come out as that of the window, P_k = Ad P_{k−1} Adᵀ + cov(ε) + X
     # + Xᵀ: its growth less cov(ε) is split evenly into X and Xᵀ.
     growth = curr_after - adjoint @ prev_before @ adjoint.T
@@ -110,15 +120,6 @@ def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter
         return pose.moved_to(newest)
 
     return advance
-
-
-def _unforeseen(correction: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """Return what the correction of the last pose, [4, 4], adds to a covariance of the step."""
-    error = se3.log(correction)
-    if error @ np.linalg.solve(cov, error) <= LARGEST_FORESEEN:
-        return np.zeros((6, 6))
-    added: np.ndarray = np.outer(error, error)
-    return added
 
 
 def _log_volume(cov: np.ndarray) -> float:

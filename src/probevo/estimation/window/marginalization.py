@@ -10,10 +10,12 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.window import MarginalPrior, Window
 
-LEAST_SHARE = 1e-12
-"""Least information about the place of a window, over that about the motions within it. It is that
-of hundreds of metres and many turns, where linearisation and rounding mean nothing any more, but
-would spoil the covariances of the motions."""
+LEAST_SHARE = 1e-14
+"""Least information about the place of a window, over that about the motions within it: less is a
+matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
+kilometres; among points at a distance of a metre, that of a hundred metres."""
+LEAST_SHARE_OF_MOTIONS = 1e-12
+"""The same for the least known state of a window whose oldest pose is held."""
 LEAST_INFORMATION = 1e-6
 """Least information about the place of a window that is left where rounding has lost it, m⁻²: that
 of a kilometre."""
@@ -53,7 +55,7 @@ def _definite_inverse(information: FloatArray) -> FloatArray:
 
     A long pause within the window leaves the motion across it known by next to nothing, beside
     motions that are known to a hundredth of a millimetre. What is lost by rounding is as well known
-    as ``LEAST_SHARE`` says.
+    as ``LEAST_SHARE_OF_MOTIONS`` says.
 
     Raises:
         numpy.linalg.LinAlgError: some state is not known at all.
@@ -68,7 +70,7 @@ def _definite_inverse(information: FloatArray) -> FloatArray:
         root = np.linalg.inv(np.linalg.cholesky(unit))
     except np.linalg.LinAlgError:
         values, directions = np.linalg.eigh(unit)
-        root = np.maximum(values, LEAST_SHARE)[:, None] ** -0.5 * directions.T
+        root = np.maximum(values, LEAST_SHARE_OF_MOTIONS)[:, None] ** -0.5 * directions.T
     root = root * sigma
     return np.asarray(root.T @ root)
 
