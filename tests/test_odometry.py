@@ -11,6 +11,7 @@ import pytest
 
 import probevo as pv
 from cli.rendering import write_wall
+from inertial_worlds import CALIBRATION, SmoothPath, inertial_drive
 from intervals import chi2_interval
 from probevo.arrays import FloatArray, Image
 from probevo.config import GyroConfig, SolverConfig, TrackingConfig
@@ -418,6 +419,29 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     for motion, T_true in zip(motions[6:11], true[5:10], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[11].status is OK
+
+
+def test_in_a_blackout_the_attitude_by_the_gyro_is_consistent() -> None:
+    """From the third frame on, when its bias is hardly known, for 15 frames: the mean of the
+    squared errors over 20 drives lies in the 99.9 % interval of χ²(3)."""
+    squared = []
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        path = SmoothPath.drawn(rng, swing=0.05)
+        frames, truth = inertial_drive(rng, 17, path, points=60)
+        odometry = pv.StereoOdometry(
+            CAMERA,
+            noise=StudentT(dof=np.inf, scale=0.3**2 * np.eye(4)),
+            imu=CALIBRATION,
+            config={"self_calibration": False, "estimator": "two-frame"},
+        )
+        for frame in frames:
+            seen = frame if frame.index < 2 else replace(blind_frame(frame.index), imu=frame.imu)
+            motion = odometry.step(seen)
+        error = so3.log(truth[-1][:3, :3].T @ motion.T_world_cam[:3, :3])
+        squared.append(error @ np.linalg.solve(motion.pose_cov[3:, 3:], error))
+    low, high = chi2_interval(dof=3, count=20)
+    assert low < np.mean(squared) < high
 
 
 def test_features_are_found_again_in_images_that_are_prepared_once(
