@@ -3,6 +3,7 @@ recordings."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -405,9 +406,8 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     has_images = []
 
     def sensor(prev_frame: Frame, frame: Frame) -> NoMeasurement:
-        """Note whether there is an image of the time of the previous frame."""
-        assert frame.left is not None
-        has_images.append(prev_frame.left is not None)
+        """Note whether there are images of the times of the previous and the current frame."""
+        has_images.append((prev_frame.left is not None, frame.left is not None))
         return NoMeasurement("noted")
 
     odometry = pv.StereoOdometry(sequence.camera, sensors=[sensor])
@@ -415,7 +415,8 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     true = relative_motions(sequence.truth.T_world_cam)
     assert {motion.status for motion in motions[6:10]} == {pv.Status.TOO_FEW_TRACKS}
     assert motions[10].status is pv.Status.RECOVERED
-    assert has_images == [True] * 6 + [False] * 4 + [True]
+    is_seen = [True] * 6 + [False] * 4 + [True] * 2
+    assert has_images == list(pairwise(is_seen))
     for motion, T_true in zip(motions[6:11], true[5:10], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[11].status is OK
@@ -484,10 +485,18 @@ def test_images_that_stand_still_but_for_noise_are_treated_as_dropped_frames(
         frames[k] = replace(frames[k], left=noisy[0], right=noisy[1])
     # A camera that is too heavy to stop within a step.
     heavy = {"acceleration_m_s2": 0.1, "angular_acceleration_rad_s2": 0.1}
-    odometry = pv.StereoOdometry(sequence.camera, config={"motion_model": heavy})
+    has_images = []
+
+    def sensor(prev_frame: Frame, frame: Frame) -> NoMeasurement:
+        """Note whether there is an image of the time of the frame."""
+        has_images.append(frame.left is not None)
+        return NoMeasurement("noted")
+
+    odometry = pv.StereoOdometry(sequence.camera, config={"motion_model": heavy}, sensors=[sensor])
     motions = [odometry.step(frame) for frame in frames]
     true = relative_motions(sequence.truth.T_world_cam)
     assert {motion.status for motion in motions[6:13]} == {pv.Status.TOO_FEW_TRACKS}
+    assert has_images == [True] * 5 + [False] * 7 + [True] * 3
     for motion, T_true in zip(motions[6:13], true[5:12], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[-1].status is OK
