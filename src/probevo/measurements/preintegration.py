@@ -26,11 +26,12 @@ FEWEST_SAMPLES = 5
 """Number of samples that cover any interval. Fewer, as those of an inertial navigation system at
 the rate of the frames, do not show how the acceleration changes between them, unless they follow
 one another closely."""
-CLOSE_NS = 1_000_000_000 // 60
-"""Samples nowhere farther apart than this cover any interval, be they as few as two. Of a swing at
-f, linear interpolation over h loses (2πfh)²/12: 9 % at 10 Hz, faster than a hand or a vehicle moves
-of its own. An interval of 1/20 s or more then has ``FEWEST_SAMPLES`` anyway, so that this counts
-for faster cameras only."""
+CLOSE_NS = 1_000_000_000 // 55
+"""Samples that are not farther apart than this in the mean cover any interval, be they as few as
+two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 % at
+10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the mean
+averages the jitter of stamps, so that an IMU of either rate is used always or never. An interval of
+1/18 s or more has ``FEWEST_SAMPLES`` then, so that this counts for faster cameras only."""
 HELD_NS = 1_000
 """Stamps that are not farther apart are of one sample, which is held over an interval."""
 LONGEST_HOLE = 3.0
@@ -175,11 +176,13 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     hole_ns = max(
         float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])
     )
-    if num_samples < FEWEST_SAMPLES and hole_ns > CLOSE_NS:
+    # The ends of the interval count as samples' stamps where no sample reaches them.
+    covered_ns = max(int(covering[-1]), end_ns) - min(int(covering[0]), start_ns)
+    if num_samples < FEWEST_SAMPLES and covered_ns > CLOSE_NS * (num_samples - 1):
         return (
             f"has {num_samples} usable samples between two frames, and none for"
             f" {1e-6 * hole_ns:.0f} ms, where the window needs {FEWEST_SAMPLES}, or one in each"
-            f" {1e-6 * CLOSE_NS:.0f} ms"
+            f" {1e-6 * CLOSE_NS:.0f} ms in the mean"
         )
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"
