@@ -160,7 +160,6 @@ def test_covariance_grows_as_the_samples_average() -> None:
     found = integrated(samples(np.zeros(3), np.zeros(3)))
     expected = CALIBRATION.gyro_noise_rad_s_sqrt_hz * np.sqrt(0.1)
     np.testing.assert_allclose(np.sqrt(np.diag(found.cov)[:3]), expected, rtol=1e-12)
-    np.testing.assert_allclose(found.walk_variance[:3], 1e-6 * 0.1, rtol=1e-12)
 
 
 def test_samples_without_a_plausible_number_are_left_out() -> None:

@@ -66,8 +66,6 @@ class Preintegration:
     [6]."""
     lever_m: FloatArray
     """Position of the IMU in the camera's frame, [3], m."""
-    walk_variance: FloatArray
-    """Variance of each bias's random walk over the interval, [6], (rad/s)², (m/s²)²."""
 
 
 NO_ACCELEROMETER = "has no accelerometer"
@@ -143,11 +141,8 @@ def preintegrate(
     )
     if not all(np.isfinite(part).all() for part in sums):
         return NoPreintegration("has rates or forces whose integral is not finite")
-    # A random walk of density σ has the variance σ² T after the interval.
-    duration_s = 1e-9 * (end_ns - start_ns)
-    walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
     return Preintegration(
-        duration_s=duration_s,
+        duration_s=1e-9 * (end_ns - start_ns),
         rotation=sums.rotation,
         velocity=sums.velocity,
         position=sums.position,
@@ -155,7 +150,6 @@ def preintegrate(
         bias_jacobian=sums.bias_jacobian,
         bias=bias,
         lever_m=calibration.T_cam_imu[:3, 3],
-        walk_variance=np.repeat(np.square(walks) * duration_s, 3),
     )
 
 
