@@ -120,7 +120,7 @@ class StereoOdometry:
         clock = StageClock(decode=frame.decode_ms)
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
-        measured = self._measure(prediction, clock)  # measurements/: gyro, sensors plugged in
+        measured = self._measure(prediction, observed, clock)  # measurements/: gyro, other sensors
         solved = self._solve_or_recover(observed, measured, clock)  # noise/, estimation/: φ → R
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
@@ -288,7 +288,7 @@ class StereoOdometry:
         prediction = replace(prediction, frame=frame)
         return Observed(prediction, tracked, corrected, phi, is_frozen)
 
-    def _measure(self, prediction: Prediction, clock: StageClock) -> Measured:
+    def _measure(self, prediction: Prediction, observed: Observed, clock: StageClock) -> Measured:
         """Collect the measurements of the gyro and of all sensors that are not excluded.
 
         By default the gyro only predicts; with ``gyro.prior`` its rotation is a measurement, too.
@@ -296,10 +296,12 @@ class StereoOdometry:
         state = prediction.state
         frame = prediction.frame
         prev_frame = state.frame
+        # Images of a frozen frame are copies of an earlier frame's. A sensor that compares images
+        # must not take them for those of its stamp.
         if state.is_frozen:
-            # The previous images are copies of an earlier frame's. A sensor that compares images
-            # must not take them for those of the previous stamp.
             prev_frame = replace(prev_frame, left=None, right=None, prepared=None)
+        if observed.is_frozen:
+            frame = replace(frame, left=None, right=None, prepared=None)
         readings = self._suite.read(prev_frame, frame, is_excluded=state.fusion.is_excluded)
         by_gyro: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:

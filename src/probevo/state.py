@@ -257,6 +257,7 @@ class OdometryState:
         gyro = None
         bias = None
         rotation = None
+        bias_sensitivity = None
         if imu is not None and self.gyro_bias is not None:
             bias = self.gyro_bias.predicted(duration_s, imu)
             start_ns = self.frame.stamp_ns
@@ -270,10 +271,11 @@ class OdometryState:
                     curr=pose_of(frame.index),
                     prev=pose_of(self.frame.index),
                 )
+                bias_sensitivity = bias.sensitivity(gyro)
         motion = self.motion_model.predict(duration_s, None)
         if rotation is not None:
             # The rotation is the gyro's, the translation that of the last velocity.
-            of_gyro = self.motion_model.predict(duration_s, rotation)
+            of_gyro = self.motion_model.predict(duration_s, rotation, bias_sensitivity)
             motion = self._with_alternative(of_velocity=motion, of_gyro=of_gyro, window=window)
         return Prediction(
             state=self,

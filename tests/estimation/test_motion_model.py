@@ -375,6 +375,27 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
     np.testing.assert_array_equal(aided.T_curr_prev[:3, 3], unaided.T_curr_prev[:3, 3])
 
 
+def test_the_error_of_the_gyro_bias_adds_up_over_dead_reckoned_steps() -> None:
+    """It is the same in each of them, so that its σ is n J σ_b after n steps, while white noise
+    grows with √n."""
+    noise_rad = 1e-4
+    bias_rad_s = np.array([1e-3, 2e-3, 3e-3])
+    own_cov = noise_rad**2 * np.eye(3) + np.diag((STEP_S * bias_rad_s) ** 2)
+    gyro = RelativeRotation(np.eye(3), own_cov, curr=MOTION)
+    at_rest = np.concatenate([TWIST_S[:3], np.zeros(3)])
+    model = MotionModel.at_start(CONFIG).after_solve(STEP_S, se3.exp(STEP_S * at_rest), COV)
+    path_cov = np.zeros((6, 6))
+    for _ in range(20):
+        prediction = model.predict(STEP_S, gyro, STEP_S * np.diag(bias_rad_s))
+        step = model.dead_reckoned(prediction, None, refused=False)
+        model = model.after_dead_reckoning(STEP_S, prediction, step.T_curr_prev)
+        adjoint = se3.adjoint(step.T_curr_prev)
+        cross = step.path_cross_cov
+        path_cov = adjoint @ path_cov @ adjoint.T + step.cov + cross + cross.T
+    expected = (20.0 * STEP_S * bias_rad_s) ** 2 + 20.0 * (noise_rad**2 + LEAST_SIGMA**2)
+    np.testing.assert_allclose(np.diag(path_cov)[3:], expected, rtol=1e-3)
+
+
 def test_the_model_itself_is_never_changed() -> None:
     """Each step yields a new one."""
     model = driving()

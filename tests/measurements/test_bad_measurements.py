@@ -15,6 +15,7 @@ from probevo.measurements.base import Variable, VectorMeasurement, pose_of
 from probevo.measurements.correction import MotionCorrection, read_correction
 from probevo.measurements.direction import Direction
 from probevo.measurements.heading import Heading
+from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
@@ -79,6 +80,19 @@ class OfABias(VectorMeasurement):
 def test_a_measurement_of_what_is_not_estimated_is_refused() -> None:
     with pytest.raises(InputError, match=r"sensor gps: at frame 1 it measured .*bias"):
         read_sensor("gps", lambda prev, curr: [OfABias(np.eye(1))], PREV, CURR)
+
+
+class Course(OfABias):
+    """The course over ground from north: the direction of the way between two frames."""
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (pose_of(0), POSE, NORTH)
+
+
+def test_a_measurement_of_a_motion_from_north_is_refused() -> None:
+    with pytest.raises(InputError, match=r"sensor gps: at frame 1 it measured north .*previous"):
+        read_sensor("gps", lambda prev, curr: [Course(np.eye(1))], PREV, CURR)
 
 
 def test_an_exception_of_a_measurement_is_passed_on() -> None:

@@ -175,6 +175,17 @@ def test_covariance_is_that_of_white_noise() -> None:
     np.testing.assert_allclose(np.diag(gyro.cov), density**2 * 0.1, rtol=0.01)
 
 
+def test_sensitivity_to_the_bias_is_a_root_of_its_part_of_the_prior() -> None:
+    """Also where one axis of the bias is known exactly."""
+    gyro = integrate_gyro(
+        samples(lambda t: coning(t)[1]), START_NS, END_NS, calibration=CALIBRATION
+    )
+    for cov in (random_covariance(np.random.default_rng(0), 0.1), np.diag([1e-4, 0.0, 4e-4])):
+        bias = GyroBias(np.zeros(3), cov)
+        root = bias.sensitivity(gyro)
+        np.testing.assert_allclose(root @ root.T, bias.prior(gyro) - gyro.cov, atol=1e-12)
+
+
 def random_covariance(rng: np.random.Generator, sigma: float) -> FloatArray:
     factor = rng.normal(size=(3, 3))
     return sigma**2 * (factor @ factor.T + 0.1 * np.eye(3))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.nets.flow_field import (
+    _FLOW_ESTIMATOR,
     CELLS,
     FOCAL_PX,
     SIZE_PX,
@@ -57,6 +61,21 @@ def test_the_flow_of_a_rotation_is_that_of_its_rays(focal_px: float) -> None:
     assert found.dtype == np.float32
     expected = rotated(np.zeros((1, 4, *CELLS)), C[None])[0]
     assert np.median(np.abs(found[:2] - expected[:2])) < 0.05 / FOCAL_PX
+
+
+def test_each_thread_has_a_flow_estimator_of_its_own() -> None:
+    """OpenCV's keeps the images and buffers of a call: two threads on one get wrong flow, or
+    crash."""
+    both_are_there = threading.Barrier(2)
+
+    def estimator() -> object:
+        both_are_there.wait()
+        assert _FLOW_ESTIMATOR.dis is _FLOW_ESTIMATOR.dis
+        return _FLOW_ESTIMATOR.dis
+
+    with ThreadPoolExecutor(2) as threads:
+        first, second = [one.result() for one in [threads.submit(estimator) for _ in range(2)]]
+    assert first is not second
 
 
 def test_rotating_twice_is_rotating_by_the_product() -> None:

@@ -14,8 +14,8 @@ v_r − v_l, by recursive robust least squares,
 
     v_r − v_l = a·(1, x, y, x², x y, y², y r²) + τ v̇_r,
 
-where x is that of the left image (``row_basis``), and the motion during τ is removed from u_r and
-v_r.
+where x is that of the right image with a₁ and a₆, which describe it, and that of the left image
+elsewhere (``row_basis``); the motion during τ is removed from u_r and v_r.
 """
 
 from __future__ import annotations

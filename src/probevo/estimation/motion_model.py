@@ -62,8 +62,8 @@ class MotionPrediction:
     """Covariance of its left perturbation, [6, 6]. It includes errors of the gyro's scale, clock
     and mounting beside its noise, so that these do not cause rejections."""
     velocity_sensitivity: FloatArray
-    """∂ξ/∂(error of the velocity in standard deviations), [6, 6]. The rows of the rotation are zero
-    if it is a gyro's."""
+    """∂ξ/∂(error of the velocity in standard deviations), [6, 6]. If the rotation is a gyro's, the
+    error of its rate is that of the gyro's bias."""
     is_of_gyro: bool = False
     """Whether the rotation is a gyro's."""
     sudden_turn_rad: float = 0.0
@@ -114,7 +114,7 @@ class MotionModel:
     """Constant velocity in the camera's frame, disturbed by an unknown acceleration.
 
     Without a solve, the acceleration may last. All dead-reckoned steps depend on the same error of
-    the velocity, so their errors are correlated (``path_sensitivity``).
+    the velocity, and of the gyro's bias, so their errors are correlated (``path_sensitivity``).
     """
 
     config: MotionModelConfig
@@ -143,8 +143,20 @@ class MotionModel:
         sigma = np.repeat([config.start_speed_m_s, config.start_turn_rate_rad_s], 3)
         return MotionModel(config, twist=np.zeros(6), twist_sigma=sigma)
 
-    def predict(self, duration_s: float, gyro: RelativeRotation | None) -> MotionPrediction:
-        """Predict the motion of the next step; with a gyro, the rotation is the gyro's."""
+    def predict(
+        self,
+        duration_s: float,
+        gyro: RelativeRotation | None,
+        bias_sensitivity: FloatArray | None = None,
+    ) -> MotionPrediction:
+        """Predict the motion of the next step; with a gyro, the rotation is the gyro's.
+
+        Args:
+            duration_s: time between the two frames.
+            gyro: the gyro's rotation, whose covariance includes that of its bias.
+            bias_sensitivity: ∂(left perturbation of that rotation)/∂(error of the gyro's bias in
+                standard deviations), [3, 3]; None if the bias is known.
+        """
         T_curr_prev = np.empty((4, 4))
         perturb(self.twist * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
@@ -166,7 +178,10 @@ class MotionModel:
             cov[3:] = 0.0
             cov[:, 3:] = 0.0
             cov[3:, 3:] = gyro.covariance + unmodelled_rad**2 * np.eye(3)
+            # No step without a solve improves the bias: its error is the same in all of them.
             velocity_sensitivity[3:] = 0.0
+            if bias_sensitivity is not None:
+                velocity_sensitivity[3:, 3:] = bias_sensitivity
         return MotionPrediction(
             T_curr_prev,
             cov + LEAST_SIGMA**2 * np.eye(6),
@@ -222,8 +237,9 @@ class MotionModel:
             cov = cov + np.outer(innovation, innovation)
         if solution is not None and self.speed_is_unknown:
             T_curr_prev = solution.T_curr_prev
-        # The same error of the velocity is in this step and in the dead-reckoned ones before.
-        # Without this cross-covariance, the covariance of the path would be too small.
+        # The same error of the velocity, or of the gyro's bias, is in this step and in the
+        # dead-reckoned ones before. Without this cross-covariance, the covariance of the path would
+        # be too small.
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_cross_cov = path_before @ prediction.velocity_sensitivity.T
         return DeadReckoning(T_curr_prev, cov, path_cross_cov)

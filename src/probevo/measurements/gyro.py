@@ -137,6 +137,19 @@ class GyroBias:
         """
         return gyro.cov + gyro.bias_jacobian @ self.cov @ gyro.bias_jacobian.T
 
+    def sensitivity(self, gyro: GyroRotation) -> FloatArray:
+        """Return J P^½, [3, 3]: ∂(left perturbation of the gyro's rotation)/∂(error of the bias in
+        standard deviations).
+
+        Args:
+            gyro: integrated with the bias ``mean``.
+        """
+        # The symmetric root exists where P is singular, too, and its columns have the same meaning
+        # in every step: the sensitivities of successive steps may be added up.
+        variances, directions = np.linalg.eigh(self.cov)
+        root: FloatArray = directions * np.sqrt(np.maximum(variances, 0.0)) @ directions.T
+        return gyro.bias_jacobian @ root
+
     def updated(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation_posterior: FloatArray
     ) -> GyroBias:

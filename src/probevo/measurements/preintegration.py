@@ -26,11 +26,12 @@ FEWEST_SAMPLES = 5
 """Number of samples that cover any interval. Fewer, as those of an inertial navigation system at
 the rate of the frames, do not show how the acceleration changes between them, unless they follow
 one another closely."""
-CLOSE_NS = 1_000_000_000 // 60
-"""Samples nowhere farther apart than this cover any interval, be they as few as two. Of a swing at
-f, linear interpolation over h loses (2πfh)²/12: 9 % at 10 Hz, faster than a hand or a vehicle moves
-of its own. An interval of 1/20 s or more then has ``FEWEST_SAMPLES`` anyway, so that this counts
-for faster cameras only."""
+CLOSE_NS = 1_000_000_000 // 55
+"""Samples that are not farther apart than this in the mean cover any interval, be they as few as
+two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 % at
+10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the mean
+averages the jitter of stamps, so that an IMU of either rate is used always or never. An interval of
+1/18 s or more has ``FEWEST_SAMPLES`` then, so that this counts for faster cameras only."""
 HELD_NS = 1_000
 """Stamps that are not farther apart are of one sample, which is held over an interval."""
 LONGEST_HOLE = 3.0
@@ -65,8 +66,6 @@ class Preintegration:
     [6]."""
     lever_m: FloatArray
     """Position of the IMU in the camera's frame, [3], m."""
-    walk_variance: FloatArray
-    """Variance of each bias's random walk over the interval, [6], (rad/s)², (m/s²)²."""
 
 
 NO_ACCELEROMETER = "has no accelerometer"
@@ -142,11 +141,8 @@ def preintegrate(
     )
     if not all(np.isfinite(part).all() for part in sums):
         return NoPreintegration("has rates or forces whose integral is not finite")
-    # A random walk of density σ has the variance σ² T after the interval.
-    duration_s = 1e-9 * (end_ns - start_ns)
-    walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
     return Preintegration(
-        duration_s=duration_s,
+        duration_s=1e-9 * (end_ns - start_ns),
         rotation=sums.rotation,
         velocity=sums.velocity,
         position=sums.position,
@@ -154,7 +150,6 @@ def preintegrate(
         bias_jacobian=sums.bias_jacobian,
         bias=bias,
         lever_m=calibration.T_cam_imu[:3, 3],
-        walk_variance=np.repeat(np.square(walks) * duration_s, 3),
     )
 
 
@@ -175,11 +170,13 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     hole_ns = max(
         float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])
     )
-    if num_samples < FEWEST_SAMPLES and hole_ns > CLOSE_NS:
+    # The ends of the interval count as samples' stamps where no sample reaches them.
+    covered_ns = max(int(covering[-1]), end_ns) - min(int(covering[0]), start_ns)
+    if num_samples < FEWEST_SAMPLES and covered_ns > CLOSE_NS * (num_samples - 1):
         return (
             f"has {num_samples} usable samples between two frames, and none for"
             f" {1e-6 * hole_ns:.0f} ms, where the window needs {FEWEST_SAMPLES}, or one in each"
-            f" {1e-6 * CLOSE_NS:.0f} ms"
+            f" {1e-6 * CLOSE_NS:.0f} ms in the mean"
         )
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"

@@ -28,7 +28,7 @@ Sensor = Callable[[Frame, Frame], Sequence[Measurement] | NoMeasurement]
 """Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``,
 or to a reason why there are none.
 
-Measurements of both poses enter the solve of the motion. Those of the current pose, and of
+Measurements of both poses enter the solve of the motion. Those of the current pose, alone or with
 ``NORTH``, correct the pose in the world. A step may be repeated after an exception, so a sensor
 must be stateless: it looks up its measurement by the time of the frame."""
 
@@ -71,8 +71,8 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
 
     Raises:
         InputError: the answer is neither a list of measurements nor a reason, or a measurement is
-            not one of the current pose, or one of the motion from an unknown pose, or depends on
-            anything else. Exceptions of the sensor itself are passed on.
+            not one of the current pose, or one of the motion from an unknown pose, or of a motion
+            and north, or depends on anything else. Exceptions of the sensor itself are passed on.
     """
     answer = sensor(prev_frame, frame)
     if isinstance(answer, NoMeasurement):
@@ -106,7 +106,7 @@ def _is_finite(measurement: Measurement) -> bool:
 
 def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame: Frame) -> None:
     """Refuse a measurement of other poses than those of the current and the previous frame, of the
-    previous one alone, or of anything else but north.
+    previous one alone, of both and north, or of anything else.
 
     Raises:
         InputError: it is such a measurement.
@@ -122,6 +122,14 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
     if others:
         what = f"at frame {frame.index} it measured {others[0]}."
         raise InputError(where, what, "Measure poses of the camera, and north.")
+    if len(poses) > 1 and NORTH in measurement.variables:
+        # The solve of a motion is along the axes of the previous camera, and knows no north.
+        what = f"at frame {frame.index} it measured north together with the previous pose."
+        cure = (
+            "Measure north with the current pose alone, as Heading(…, north=NORTH) does, or the"
+            " motion without north."
+        )
+        raise InputError(where, what, cure)
     if isinstance(measurement, RelativeMeasurement) and measurement.prev is None:
         what = f"at frame {frame.index} it measured a motion, and did not say from which pose."
         raise InputError(where, what, "Give it: prev=pose_of(prev_frame.index).")

@@ -12,6 +12,7 @@ images come any number of training data with exact targets.
 
 from __future__ import annotations
 
+import threading
 from functools import cache
 from typing import Any
 
@@ -110,7 +111,7 @@ def flow_field(prev: Image, curr: Image) -> FloatArray:
     where the flow can be trusted.
     """
     start = np.zeros((*prev.shape, 2), np.float32)  # overwritten
-    flow_px = np.asarray(_flow_estimator().calc(prev, curr, start))
+    flow_px = np.asarray(_FLOW_ESTIMATOR.dis.calc(prev, curr, start))
     # The current image as sampled along the flow looks like the previous one where the flow is
     # right.
     columns, rows = _pixels()
@@ -178,9 +179,14 @@ def _pixels() -> tuple[FloatArray, FloatArray]:
     return columns.astype(np.float32), rows.astype(np.float32)
 
 
-@cache
-def _flow_estimator() -> cv2.DISOpticalFlow:
-    return cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+class _FlowEstimator(threading.local):
+    """OpenCV's estimator of dense flow, one for each thread: it keeps its images and buffers."""
+
+    def __init__(self) -> None:
+        self.dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+
+
+_FLOW_ESTIMATOR = _FlowEstimator()
 
 
 def cell_means(values: AnyArray) -> FloatArray:

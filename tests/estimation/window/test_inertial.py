@@ -162,12 +162,13 @@ def test_no_information_arises_about_yaw_and_place(run: Run) -> None:
         coupling=np.zeros_like(states.coupling),
         information=np.zeros_like(states.information),
     )
-    factors = factors_of(window)
+    assert window.inertial is not None
+    intervals = window.inertial.intervals(window.frames)
     # Linearisation points differ from the values: the gauge must hold none the less.
     rng = np.random.default_rng(71)
     xi = 1e-3 * rng.normal(size=(len(window), POSE))
     elsewhere = replace(window, T_cam_world=se3.exp(xi) @ window.T_cam_world)
-    system = inertial_system(elsewhere, without_prior, factors)
+    system = inertial_system(elsewhere, without_prior, intervals)
     directions = _gauge(elsewhere, without_prior)
     random = rng.normal(size=(len(system.hessian), 20))
     along_random = np.einsum("in,ij,jn->n", random, system.hessian, random)
@@ -217,7 +218,8 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
     assert window.frames[0] >= 60
     states = states_of(window)
     assert window.inertial is not None
-    joint = inertial_system(window, states, window.inertial.factors).hessian.copy()
+    intervals = window.inertial.intervals(window.frames)
+    joint = inertial_system(window, states, intervals).hessian.copy()
     of_images = by._system(replace(window, inertial=None)).equations.hessian
     joint[: len(of_images), : len(of_images)] += of_images
     # In units in which each variable has the same information: they differ by 1e9 otherwise.
@@ -567,6 +569,29 @@ def test_factors_between_frames_that_stay_remain_when_blind_ones_leave() -> None
     kept = without_blind(replace(window, prior=known), leaving)
     assert kept.inertial is not None
     assert kept.inertial.factors == (*factors[:2], None, *factors[4:])
+    # Meanwhile the biases walk on, for two steps.
+    walks = kept.inertial.intervals(kept.frames).walk_variances
+    step = CALIBRATION.gyro_bias_walk_rad_s2_sqrt_hz**2 * 1e-9 * FRAME_NS
+    np.testing.assert_allclose(walks[:, 0], step * np.array([1, 1, 2, 1, 1, 1]), rtol=1e-9)
+
+
+def test_biases_walk_for_as_long_as_no_sample_comes() -> None:
+    """A minute without images and samples adds σ² T to their variances."""
+    gap_ns = 60_000_000_000
+    frames, _ = drive_of(49, 13)
+    by = odometry()
+    for frame in frames[:12]:
+        by.step(frame)
+    assert by.window is not None
+    before = np.diag(states_of(by.window).cov)[-6:]
+    assert frames[12].features is not None
+    others = replace(frames[12].features, ids=frames[12].features.ids + 1_000_000)
+    behind = replace(frames[12], stamp_ns=frames[12].stamp_ns + gap_ns, features=others, imu=None)
+    by.step(behind)
+    added = np.diag(states_of(by.window).cov)[-6:] - before
+    walks = [CALIBRATION.gyro_bias_walk_rad_s2_sqrt_hz, CALIBRATION.accel_bias_walk_m_s3_sqrt_hz]
+    duration_s = 1e-9 * (gap_ns + FRAME_NS)
+    np.testing.assert_allclose(added, np.repeat(np.square(walks) * duration_s, 3), rtol=1e-3)
 
 
 def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:

@@ -7,12 +7,13 @@ images time and again is left out for good.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window.equations import POSE, WindowEquations
 from probevo.estimation.window.further_measurements import with_measurements
 from probevo.estimation.window.inertial_noise import (
@@ -29,9 +30,11 @@ from probevo.estimation.window.inertial_states import (
     InertialPrediction,
     InertialStates,
     InertialSystem,
+    Intervals,
     inertial_system,
     moved,
     predicted,
+    walk_variances,
     with_covariance,
     with_frame,
     without_first_frame,
@@ -101,6 +104,9 @@ class Inertial:
     calibration: ImuCalibration
     factors: tuple[Preintegration | None, ...] = ()
     """Between successive frames, [K − 1]; None where there is none."""
+    stamps_ns: Mapping[int, int] = field(default_factory=dict)
+    """Time of each frame of the window, and of the next one, by its index: biases walk with or
+    without samples."""
     pending: Preintegration | None = None
     """From the last frame to the next one."""
     prediction: InertialPrediction | None = None
@@ -174,6 +180,12 @@ class Inertial:
         # The mean of χ² of six degrees of freedom is six.
         return max(1.0, float(np.mean(known)) / POSE)
 
+    def intervals(self, frames: IntArray) -> Intervals:
+        """Return what lies between the frames of the window, given their indices, [K]."""
+        stamps_ns = np.array([self.stamps_ns[frame] for frame in frames.tolist()])
+        durations_s = 1e-9 * np.diff(stamps_ns)
+        return Intervals(self.factors, walk_variances(self.calibration, durations_s))
+
     def tested(self, innovation: Innovation, *, is_gated: bool) -> Inertial:
         """Return the IMU with one more innovation, and the noise that the last of them show."""
         innovations = (*self.innovations[1 - NUM_TESTED :], innovation)
@@ -221,6 +233,7 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         inertial = inertial.without_states(inertial.note, is_excluded=False)
     # Preintegrate with the latest estimate of the biases, about which the factor is linearised.
     states = inertial.states
+    inertial = replace(inertial, stamps_ns=_stamps_of(window, prev, frame))
     factor = preintegrate(
         frame.imu,
         prev.stamp_ns,
@@ -242,6 +255,13 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
             prediction = None
     inertial = replace(inertial, pending=factor, prediction=prediction, note="", has_measured=True)
     return replace(window, inertial=inertial)
+
+
+def _stamps_of(window: Window, prev: Frame, frame: Frame) -> dict[int, int]:
+    """Return the time of each frame of the window and of the next one, by its index, ns."""
+    known = {} if window.inertial is None else window.inertial.stamps_ns
+    of_window = {index: known[index] for index in window.frames.tolist() if index in known}
+    return {**of_window, prev.index: prev.stamp_ns, frame.index: frame.stamp_ns}
 
 
 def trusts_gyro(window: Window | None) -> bool:
@@ -410,7 +430,8 @@ def without_inertial(window: Window, note: str, *, is_excluded: bool = True) -> 
     # Their joint prior with the poses stays, reduced to the poses by the Schur complement; the
     # factors go, since without pairs the system is that prior alone. As everywhere,
     # the gradient at the present offsets is turned into the vector of the prior.
-    system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)
+    intervals = inertial.intervals(window.frames)
+    system = inertial_system(window, inertial.states, intervals, num_pairs=0)
     hessian, gradient = system.reduced()
     information = window.prior.information + hessian
     vector = window.prior.vector + gradient + hessian @ window.offsets()
@@ -530,7 +551,7 @@ def system_of(window: Window) -> InertialSystem | None:
     inertial = window.inertial
     if inertial is None or inertial.states is None:
         return None
-    return inertial_system(window, inertial.states, inertial.factors)
+    return inertial_system(window, inertial.states, inertial.intervals(window.frames))
 
 
 def after_increment(
@@ -566,7 +587,8 @@ def marginalize_first_frame(
     if inertial is None or inertial.states is None:
         return None
     # Only what involves the first frame: its factor to the second, and the prior.
-    system = inertial_system(window, inertial.states, inertial.factors, num_pairs=1)
+    intervals = inertial.intervals(window.frames)
+    system = inertial_system(window, inertial.states, intervals, num_pairs=1)
     x = np.concatenate([window.offsets(), inertial.states.joint()])
     remaining, states = without_first_frame(inertial.states, others, system, x=x)
     return remaining, replace(inertial, states=states, factors=inertial.factors[1:])

@@ -23,6 +23,7 @@ from probevo.estimation.window.equations import POSE, RIG, WindowEquations
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
+from probevo.sequences.imu_calibration import ImuCalibration
 
 GRAVITY_M_S2 = 9.81
 """Its length; by where on the earth it is, it differs by 0.03, which counts as bias."""
@@ -83,6 +84,26 @@ class InertialStates:
         """Return x, [2 + 9K]."""
         of_frames = np.hstack([self.velocity, self.bias])
         return np.concatenate([self.gravity_offset, of_frames.ravel()])
+
+
+class Intervals(NamedTuple):
+    """The K − 1 intervals between successive frames of a window, with or without samples."""
+
+    factors: Sequence[Preintegration | None]
+    """The samples of each; None where there is no factor."""
+    walk_variances: FloatArray
+    """Variance of each bias's random walk over it, [K − 1, 6], (rad/s)², (m/s²)²."""
+
+
+def walk_variances(calibration: ImuCalibration, durations_s: FloatArray) -> FloatArray:
+    """Return the variance of each bias's random walk over intervals, [J] to [J, 6], (rad/s)²,
+    (m/s²)².
+
+    A random walk of density σ has the variance σ² T after a time T.
+    """
+    walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
+    variances: FloatArray = durations_s[:, None] * np.repeat(np.square(walks), 3)
+    return np.maximum(variances, LEAST_WALK)
 
 
 class InertialSystem(NamedTuple):
@@ -207,7 +228,7 @@ def moved(states: InertialStates, step: FloatArray) -> InertialStates:
 def inertial_system(
     window: Window,
     states: InertialStates,
-    factors: Sequence[Preintegration | None],
+    intervals: Intervals,
     *,
     num_pairs: int | None = None,
 ) -> InertialSystem:
@@ -216,10 +237,11 @@ def inertial_system(
     Args:
         window: K poses.
         states: of these K frames.
-        factors: between successive frames, [K − 1]; None where there is none.
-        num_pairs: how many of these count, with their random walks, from the first on; all, by
-            default.
+        intervals: between these frames.
+        num_pairs: how many of the intervals count, with their random walks, from the first on; all,
+            by default.
     """
+    factors = intervals.factors
     num_pairs = len(factors) if num_pairs is None else num_pairs
     count = len(window)
     p = POSE * count + RIG
@@ -255,7 +277,7 @@ def inertial_system(
             hessian[np.ix_(joint, joint)] += of_factor
             gradient[joint] += descent
     # The random walks of the biases connect successive frames, with or without samples between.
-    variances = _walk_variances(factors)[:num_pairs]
+    variances = intervals.walk_variances[:num_pairs]
     cost += _add_walks(states, variances, hessian[p:, p:], gradient[p:])
     # What nothing measures must not make the block singular that is eliminated.
     inertial = hessian[p:, p:].copy()
@@ -399,17 +421,6 @@ def _places(at: int, p: int) -> np.ndarray:
             p + np.arange(GRAVITY),
         ]
     )
-
-
-def _walk_variances(factors: Sequence[Preintegration | None]) -> FloatArray:
-    """Return by how much the biases may walk from frame to frame, [K − 1, 6].
-
-    Where a factor is missing, they walk as in the longest of the others.
-    """
-    known = [factor.walk_variance for factor in factors if factor is not None]
-    usual = np.max(known, axis=0) if known else np.full(6, LEAST_WALK)
-    variances = [usual if factor is None else factor.walk_variance for factor in factors]
-    return np.maximum(np.reshape(variances, (-1, 6)), LEAST_WALK)
 
 
 def _add_walks(
