@@ -403,11 +403,13 @@ class StereoOdometry:
         outcomes: tuple[SensorOutcome, ...] = ()
         if readings:
             solution = solved.visual.accepted_solution if solved.is_step_solved else None
+            # A recovered motion is not that of the step, and was solved without the sensors.
+            reckoned = two_frame if solved.recovery is None else None
             fusion, outcomes = fusion.updated(
                 readings,
                 pose,
                 self.config.north,
-                of_motion=solve_innovations(readings, pose, solution),
+                of_motion=solve_innovations(readings, pose, solution, reckoned),
             )
             clock.lap("sensors")
         # The estimate and the state. The features keep the motion of this step by the images alone.

@@ -445,27 +445,48 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
 
 
 def solve_innovations(
-    readings: Sequence[Reading], curr: Variable, solution: ReprojectionSolution | None
+    readings: Sequence[Reading],
+    curr: Variable,
+    solution: ReprojectionSolution | None,
+    reckoned: MotionEstimate | None = None,
 ) -> dict[str, list[_Innovation]]:
     """Return, by sensor, the innovations of its measurements of the motion.
 
-    Without a solve there is none to test. A correction replaces the motion of the solve, so it
-    cannot be tested against it.
+    A correction replaces the motion of the solve, so it cannot be tested against it.
 
     Args:
         readings: of each sensor.
         curr: the pose of the current frame.
         solution: the solve, which has used the measurements of the motion; None if there is none.
+        reckoned: the dead-reckoned motion that they are tested against without a solve; None if
+            there is none either, and nothing is tested.
     """
     found: dict[str, list[_Innovation]] = {}
     for reading in readings:
         of_motion = reading.of_motion(curr)
         found[reading.name] = [_Innovation(None, 1.0)] * len(of_motion)
-        if solution is not None and not reading.corrects:
+        if reading.corrects:
+            continue
+        if solution is not None:
             found[reading.name] = motion_innovations(
                 of_motion, solution.T_curr_prev, curr, cov=solution.cov
             )
+        elif reckoned is not None:
+            found[reading.name] = [_reckoned_innovation(one, curr, reckoned) for one in of_motion]
     return found
+
+
+def _reckoned_innovation(
+    measurement: Measurement, curr: Variable, reckoned: MotionEstimate
+) -> _Innovation:
+    """Return the innovation of a measurement of the motion against a dead-reckoned one."""
+    if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
+        return _Innovation(None, 1.0)
+    values = {variable: np.eye(4) for variable in measurement.variables}
+    values[curr] = reckoned.T_curr_prev
+    squared = measurement.innovation_squared(values, reckoned.cov, of=curr)
+    threshold = large_residual_threshold(len(measurement.covariance))
+    return _Innovation(squared, bounded_weight(squared, threshold))
 
 
 def motion_innovations(

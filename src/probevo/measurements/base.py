@@ -222,25 +222,33 @@ class VectorMeasurement(ABC):
         other._large_threshold = large_residual_threshold(len(self.covariance))
         return other
 
-    def weighed(self, values: Values, covariance: FloatArray, *, of: Variable) -> Self:
-        """Return the same measurement, if its loss is ``bounded``, with the weight that this loss
-        has for the innovation against a prior, instead of for the residual by itself.
+    def innovation_squared(self, values: Values, covariance: FloatArray, *, of: Variable) -> float:
+        """Return the squared Mahalanobis distance of the innovation against a prior.
 
-        A prior may be off by many standard deviations of a precise sensor, which says nothing
-        against the sensor. With J the Jacobian by the variable and P the covariance of the prior,
-        the innovation has the covariance R + J P Jᵀ.
+        With J the Jacobian by the variable and P the covariance of the prior, the innovation has
+        the covariance R + J P Jᵀ.
 
         Args:
             values: the prior.
             covariance: P of one of its variables, [n, n]; the others are known.
             of: that variable.
         """
-        if np.isinf(self._large_threshold):
-            return self
         innovation = self.residual(values)
         jacobian = self.jacobians(values)[self.variables.index(of)]
         innovation_cov = self.covariance + jacobian @ covariance @ jacobian.T
-        squared = float(innovation @ np.linalg.solve(innovation_cov, innovation))
+        return float(innovation @ np.linalg.solve(innovation_cov, innovation))
+
+    def weighed(self, values: Values, covariance: FloatArray, *, of: Variable) -> Self:
+        """Return the same measurement, if its loss is ``bounded``, with the weight that this loss
+        has for the innovation against a prior (see ``innovation_squared``), instead of for the
+        residual by itself.
+
+        A prior may be off by many standard deviations of a precise sensor, which says nothing
+        against the sensor.
+        """
+        if np.isinf(self._large_threshold):
+            return self
+        squared = self.innovation_squared(values, covariance, of=of)
         other = self.scaled(1.0 / bounded_weight(squared, self._large_threshold))
         other._large_threshold = np.inf
         return other

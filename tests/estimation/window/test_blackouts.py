@@ -51,6 +51,7 @@ def test_a_precise_sensor_counts_where_dead_reckoning_is_far_off() -> None:
         error = np.linalg.norm(so3.log(estimate.T_world_cam[:3, :3] @ attitude.T))
         claimed = np.sqrt(np.linalg.eigvalsh(estimate.pose_cov[3:, 3:])[-1])
         assert error < claimed
+        assert estimate.sensors[0].weight == 1.0
         # That of the pose before, and one of the sensor for each step.
         assert 0.9 < claimed / (ATTITUDE_SIGMA_RAD * np.sqrt(number)) < 1.5
 
@@ -67,6 +68,8 @@ def test_a_sensor_that_contradicts_dead_reckoning_beyond_its_covariance_hardly_c
     for frame in [*frames, blind_frame(FIRST)]:
         estimate = odometry.step(frame)
     assert np.linalg.norm(so3.log(estimate.T_curr_prev[:3, :3] @ FORWARD[:3, :3].T)) < 0.1
+    assert estimate.sensors[0].weight is not None
+    assert estimate.sensors[0].weight < 1e-3
 
 
 class BrakingPath(SmoothPath):
