@@ -266,6 +266,19 @@ def test_neither_rest_nor_gaussian_noise_shows_a_factor() -> None:
     assert estimate(resting).estimated_noise_factor is None
 
 
+def test_features_that_hardly_move_teach_no_noise() -> None:
+    """The motion is known to a hundredth of itself, but by features that have moved by a third of a
+    pixel: between the same pixels, they have the same errors in both frames."""
+    creeping = se3.exp(np.array([0.0, 0.0, -0.015, 0.0, 0.0, 0.0]))
+    tracks = seen_twice(np.random.default_rng(4), 300, creeping, sigma_px=0.003)
+    shift_px = np.linalg.norm(tracks.curr_px[:, :2] - tracks.prev_px[:, :2], axis=1)
+    assert np.median(shift_px) < 0.5
+    visual = estimate(tracks, noise=Scaled(scale=0.003**2 * np.eye(4)))
+    assert visual.solution is not None
+    assert visual.solution.is_motion
+    assert visual.estimated_noise_factor is None
+
+
 def test_where_nothing_is_solved_nothing_is_used_and_nothing_out_of_domain() -> None:
     visual = estimate(seen_twice(np.random.default_rng(1), 5), noise=Homesick())
     assert visual.status is Status.TOO_FEW_TRACKS
