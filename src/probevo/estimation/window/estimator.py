@@ -268,7 +268,7 @@ class WindowEstimator:
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         window = inertial.without_factor_if_worse(window, motion)
-        # What is known of the motion before the sensors tell theirs.
+        # The motion by dead reckoning or IMU alone, before the sensors.
         reckoned = _bounded(inertial.predicted_motion(window, frame) or motion)
         measurements, guess = tested_against(reckoned, measurements, window)
         prev = window.slot(reckoned.variables[0].frame)
