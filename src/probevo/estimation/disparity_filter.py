@@ -28,7 +28,8 @@ independent noise in each frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +68,31 @@ _CHOSEN = 1.0
 are not negative."""
 
 
+class StepCorrelation(NamedTuple):
+    """What correlates the error of a step's motion with those of the steps before and after it.
+
+    The common-mode errors c, of covariance I before and after each step, carry the correlation on:
+    given them, the errors of two successive steps are independent.
+    """
+
+    with_before: FloatArray
+    """Cross-covariance of the step's error with c before the step, [6, K]; 0 if the filter was
+    empty then."""
+    with_after: FloatArray
+    """Cross-covariance of the step's error with c after the step, [6, K]."""
+    transition: FloatArray
+    """Cross-covariance of c before the step with c after it, [K, K]."""
+
+    @staticmethod
+    def none() -> StepCorrelation:
+        """Return that of a step whose error is independent of all others."""
+        return StepCorrelation(
+            with_before=np.zeros((6, COMMON)),
+            with_after=np.zeros((6, COMMON)),
+            transition=np.zeros((COMMON, COMMON)),
+        )
+
+
 @dataclass(frozen=True)
 class DisparityFilter:
     """The states of M tracks, given all frames so far."""
@@ -88,6 +114,8 @@ class DisparityFilter:
     jitter: JitterPrior | None = None
     """Posterior of the rig's jitter in the last frame, with its part of ``common``; None if the
     noise has no jitter, or the filter is empty."""
+    correlation: StepCorrelation = field(default_factory=StepCorrelation.none)
+    """Of the last step with its neighbours."""
 
     @staticmethod
     def none() -> DisparityFilter:
@@ -129,6 +157,7 @@ class DisparityFilter:
             path_sensitivity=self.path_sensitivity,
             path_cross_cov=self.path_cross_cov,
             jitter=jitter,
+            correlation=self.correlation,
         )
 
 
@@ -331,6 +360,7 @@ def _update(
     kept_common = np.zeros((count, 2, COMMON))
     path_sensitivity = np.zeros((6, COMMON))
     path_cross_cov = np.zeros((6, 6))
+    correlation = StepCorrelation.none()
     jitter = None
     if posterior is not None:
         root = posterior.root
@@ -348,11 +378,15 @@ def _update(
         # Path and step depend on the same whitened errors: hence their cross-covariance. The path
         # before the step depends on c and η° only, the last of z, and is turned to the axes of the
         # current frame.
-        step = root[:6]
+        correlation = _correlation_of(
+            root[:6],
+            root[own + COMMON - common.shape[2] :],
+            directions,
+            is_first=not prior.path_sensitivity.any(),
+        )
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
-        common_before = root[own + COMMON - common.shape[2] :]
-        path_sensitivity = (path_before @ common_before + step) @ directions
-        path_cross_cov = path_before @ common_before @ step.T
+        path_sensitivity = path_before @ correlation.transition + correlation.with_after
+        path_cross_cov = path_before @ correlation.with_before.T
     # Move the disparities to the current frame: divide by q_z, the ratio of new to old depth
     # (``camera.transfer``).
     px = tracks.prev_px[chosen]
@@ -379,6 +413,27 @@ def _update(
         path_sensitivity=path_sensitivity,
         path_cross_cov=path_cross_cov,
         jitter=jitter,
+        correlation=correlation,
+    )
+
+
+def _correlation_of(
+    step: FloatArray, common_before: FloatArray, directions: FloatArray, *, is_first: bool
+) -> StepCorrelation:
+    """Return how a step is correlated with its neighbours, through L whitened errors of the step.
+
+    Args:
+        step: derivatives of the motion by the whitened errors, [6, L].
+        common_before: those of c before the step, [K, L].
+        directions: the directions of the whitened errors that are c after the step, [L, K].
+        is_first: whether there was no step before, with which c has nothing to do then.
+    """
+    if is_first:
+        common_before = np.zeros_like(common_before)
+    return StepCorrelation(
+        with_before=step @ common_before.T,
+        with_after=step @ directions,
+        transition=common_before @ directions,
     )
 
 

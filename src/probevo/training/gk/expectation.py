@@ -10,10 +10,10 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import SolverConfig
-from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.disparity_filter import DisparityFilter, StepCorrelation
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.noise.base import StereoNoise
-from probevo.training.gk.conditioning import conditioned
+from probevo.training.gk.conditioning import StepCorrelations, conditioned
 from probevo.training.gk.feature_errors import FeatureErrors, errors_of
 from probevo.training.gk.jitter import CommonUnknowns
 from probevo.training.gk.time_correlation import time_correlation_profile
@@ -37,6 +37,8 @@ class MotionPosterior(NamedTuple):
     """Mean of each motion, [K − 1, 4, 4]."""
     cov: FloatArray
     """Covariance of each left perturbation ξ = [ρ; φ], [K − 1, 6, 6]."""
+    correlations: StepCorrelations | None = None
+    """What correlates the errors of the motions; None if they are used each by itself."""
 
     @property
     def is_solved(self) -> BoolArray:
@@ -108,6 +110,7 @@ def expect(
             drive.supervision,
             truth_sigma=truth_sigma,
             is_solved=solved.is_solved,
+            correlations=solved.correlations,
         )
         posterior = MotionPosterior(T_curr_prev, cov)
     # Second pass: the errors of the features at these motions.
@@ -126,15 +129,20 @@ def solve_drive(drive: SupervisedDrive, predict: Predict, solver: SolverConfig) 
     """
     motions = []
     covariances = []
+    correlations = []
     for step in solved_steps(drive, predict, solver):
         if step.estimate is None:
             motions.append(step.T_curr_prev)
             covariances.append(np.diag(UNSOLVED_SIGMA**2))
+            correlations.append(StepCorrelation.none())
         else:
             motions.append(step.estimate.solution.T_curr_prev)
             covariances.append(step.estimate.solution.cov)
+            correlations.append(step.estimate.disparities.correlation)
     return MotionPosterior(
-        T_curr_prev=np.reshape(motions, (-1, 4, 4)), cov=np.reshape(covariances, (-1, 6, 6))
+        T_curr_prev=np.reshape(motions, (-1, 4, 4)),
+        cov=np.reshape(covariances, (-1, 6, 6)),
+        correlations=StepCorrelations.of(correlations),
     )
 
 
