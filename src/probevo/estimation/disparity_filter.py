@@ -161,6 +161,18 @@ class DisparityFilter:
         )
 
 
+class CommonErrors(NamedTuple):
+    """The errors z = (ξ, η, c) that N features have in common: of the motion, of the rig's jitter
+    if the noise has one, and of the disparities."""
+
+    jacobian: FloatArray
+    """Derivative of the prediction by z, [N, 4, m + 6], with m = 6, or 12 with a jitter."""
+    mean: FloatArray
+    """Their mean, [m + 6]."""
+    cov: FloatArray
+    """Their covariance, [m + 6, m + 6]."""
+
+
 @dataclass(frozen=True)
 class _JointPosterior:
     """The joint posterior of motion, rig's jitter and common-mode errors, z = (ξ, η, c)."""
@@ -228,6 +240,40 @@ class _JointPosterior:
             raise np.linalg.LinAlgError("the normal equations are singular to working precision")
         return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
 
+    @staticmethod
+    def at_known_motion(
+        solution: ReprojectionSolution, prior: DisparityFilter, motion_cov: FloatArray
+    ) -> _JointPosterior:
+        """Return the posterior where something else than the features tells the motion, too.
+
+        Args:
+            solution: the features at the mean of the motion.
+            prior: the filter's states of its tracks.
+            motion_cov: covariance of the motion, [6, 6].
+        """
+        # (η, c) given ξ = 0: its mean, its derivative G by ξ, and its covariance V. With P the
+        # covariance of the motion, the joint covariance is [[P, P Gᵀ], [G P, V + G P Gᵀ]].
+        known = _JointPosterior.of(solution, prior, knows_motion=True)
+        unknown = _JointPosterior.of(solution, prior)
+        cov = unknown.root @ unknown.root.T
+        gain = np.linalg.solve(cov[:6, :6], cov[:6, 6:]).T
+        rest = known.root[6:] @ known.root[6:].T
+        cross = gain @ motion_cov
+        joint = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
+        return replace(known, root=np.linalg.cholesky(joint))
+
+    def common_errors(self, prior: DisparityFilter) -> CommonErrors:
+        """Return how z moves the predictions of all features, its mean and its covariance."""
+        # M = H U of the tracks in the filter: d moves the whole prediction, δ its u_r alone.
+        rows = prior.states.rows
+        of_common = np.zeros((len(self.linearized.jacobian), 4, COMMON))
+        of_common[rows] = (
+            self.linearized.disparity_jacobian[rows, :, None] * self.common[:, None, 0]
+        )
+        of_common[rows, 2] -= self.common[:, 1]
+        jacobian = np.concatenate([self.linearized.jacobian, of_common], axis=2)
+        return CommonErrors(jacobian, self.mean, self.root @ self.root.T)
+
 
 def update_with_common_mode(
     prior: DisparityFilter,
@@ -283,13 +329,33 @@ def update_at_known_motion(
     solution: ReprojectionSolution,
     camera: StereoCamera,
     inliers: BoolArray,
-) -> DisparityFilter:
-    """Update the filter with a known motion; arguments as of ``update_with_common_mode``."""
+    motion_cov: FloatArray | None = None,
+) -> tuple[DisparityFilter, CommonErrors | None]:
+    """Update the filter with a motion that is known.
+
+    Args:
+        prior: the filter's states of these tracks (``of_tracks``).
+        tracks: the N tracks.
+        noise: the noise of each; without time-correlated errors there is nothing to filter.
+        solution: the tracks at the mean of the motion.
+        camera: the rectified camera.
+        inliers: which of the tracks to keep in the filter, [N]; the others start afresh.
+        motion_cov: covariance of the motion, [6, 6]; None if it is known exactly.
+
+    Returns:
+        The filter after the step, and the errors that the tracks have in common; None where the
+        motion is exact, or the features do not determine it.
+    """
     posterior = None
+    common = None
     try:
-        if solution.jitter is not None and np.isfinite(solution.cov).all():
-            posterior = _JointPosterior.of(solution, prior, knows_motion=True)
-        return _update(
+        if noise.time_correlated is not None and np.isfinite(solution.cov).all():
+            if motion_cov is not None:
+                posterior = _JointPosterior.at_known_motion(solution, prior, motion_cov)
+                common = posterior.common_errors(prior)
+            elif solution.jitter is not None:
+                posterior = _JointPosterior.of(solution, prior, knows_motion=True)
+        after = _update(
             prior,
             tracks,
             noise,
@@ -299,7 +365,8 @@ def update_at_known_motion(
             posterior=posterior,
         )
     except np.linalg.LinAlgError:
-        return DisparityFilter.none()
+        return DisparityFilter.none(), None
+    return after, common
 
 
 def _update(

@@ -166,7 +166,7 @@ def feature_errors(
             # Features behind the camera have no information: their Σ⁻¹ is set to 0.
             is_in_front = solution.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
-            common = CommonUnknowns.of(solution, posterior.cov[step.index])
+            common = CommonUnknowns.of(step.estimate, posterior.cov[step.index])
             errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
@@ -239,9 +239,12 @@ def solved_steps(
                         estimator.estimate(tracks, noise, disparities, guess=guess)
                     )
                 elif not given.cov[index, 0, 0] > UNKNOWN_VARIANCE_M2:
-                    T_curr_prev = given.T_curr_prev[index]
                     estimate = estimator.evaluate(
-                        tracks, noise, disparities, T_curr_prev=T_curr_prev
+                        tracks,
+                        noise,
+                        disparities,
+                        T_curr_prev=given.T_curr_prev[index],
+                        cov=given.cov[index],
                     )
             disparities = DisparityFilter.none() if estimate is None else estimate.disparities
 
