@@ -75,7 +75,7 @@ def filtered(
     tracks: Tracks, model: StudentT, prior: DisparityFilter, *, solution: ReprojectionSolution
 ) -> DisparityFilter:
     """The filter after a step whose motion is known."""
-    return update_at_known_motion(
+    after, _ = update_at_known_motion(
         prior.of_tracks(tracks),
         tracks,
         model.predict(np.zeros((len(tracks), 0))),
@@ -83,6 +83,7 @@ def filtered(
         camera=CAMERA,
         inliers=np.ones(len(tracks), np.bool_),
     )
+    return after
 
 
 def test_true_disparities_are_propagated_with_the_motion() -> None:
@@ -353,7 +354,7 @@ def test_only_inliers_in_front_of_the_camera_are_kept() -> None:
     tracks = tracks_of(seen[0], seen[1], np.array([9, 4, 7, 1, 3, 8]))
     solution = evaluate_at(tracks, NOISE, DisparityFilter.none())
     solution.information[3] = 0.0
-    disparities = update_at_known_motion(
+    disparities, _ = update_at_known_motion(
         DisparityFilter.none().of_tracks(tracks),
         tracks,
         NOISE.predict(np.zeros((6, 0))),
@@ -441,3 +442,55 @@ def test_without_time_correlated_errors_there_is_nothing_to_filter() -> None:
     solution = evaluate_at(tracks, model, nothing)
     assert not len(filtered(tracks, model, nothing, solution=solution).ids)
     assert not len(nothing.of_tracks(tracks).ids)
+
+
+@pytest.mark.parametrize("jitter_cov", [None, JITTER_COV])
+def test_a_motion_that_is_as_uncertain_as_by_the_features_has_their_joint_posterior(
+    jitter_cov: FloatArray | None,
+) -> None:
+    """Motion and common-mode errors then have the covariance of a step that solves for both; with a
+    motion that is all but exact, the disparities are known better."""
+    steps = drive(np.random.default_rng(3), 6, 10)
+    if jitter_cov is not None:
+        steps = on_a_loose_rig(np.random.default_rng(4), steps)
+    disparities = DisparityFilter.none()
+    for tracks in steps:
+        noise = replace(SLIPPING.predict(np.zeros((len(tracks), 0))), jitter_cov=jitter_cov)
+        prior = disparities.of_tracks(tracks)
+        solution = solve_reprojection(
+            StereoObservations.of(
+                tracks.prev_px,
+                tracks.curr_px,
+                noise,
+                camera=CAMERA,
+                disparity_prior=prior.states,
+            ),
+            guess=STEP,
+        )
+        inliers = np.ones(len(tracks), np.bool_)
+        solved, disparities = update_with_common_mode(
+            prior, tracks, noise, solution=solution, camera=CAMERA, inliers=inliers
+        )
+    found = {}
+    for name, motion_cov in (("as solved", solved.cov), ("exact", 1e-12 * np.eye(6))):
+        found[name], common = update_at_known_motion(
+            prior,
+            tracks,
+            noise,
+            solution=solution,
+            camera=CAMERA,
+            inliers=inliers,
+            motion_cov=motion_cov,
+        )
+        assert common is not None
+        np.testing.assert_allclose(common.cov[:6, :6], motion_cov, rtol=1e-6)
+        # c is known no worse than before the step, and a prediction moves with c as J does with ξ.
+        assert np.linalg.eigvalsh(common.cov[-6:, -6:]).max() < 1.0 + 1e-9
+        assert common.jacobian.shape == (len(tracks), 4, len(common.cov))
+    variance = {
+        name: after.states.cov[:, 0, 0] + np.sum(after.common[:, 0] ** 2, axis=1)
+        for name, after in found.items()
+    }
+    expected = disparities.states.cov[:, 0, 0] + np.sum(disparities.common[:, 0] ** 2, axis=1)
+    np.testing.assert_allclose(variance["as solved"], expected, rtol=1e-6)
+    assert (variance["exact"] < variance["as solved"]).all()

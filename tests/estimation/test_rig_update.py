@@ -289,6 +289,25 @@ def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
     assert np.abs((spread - claimed) / np.outer(scale, scale)).max() < 0.25
 
 
+def test_common_mode_error_is_that_of_the_joint_covariance() -> None:
+    """After a drive, b and the distortion field are correlated: the part of the covariance of a
+    motion is G Σ Gᵀ, with Σ that of both together and G = H⁻¹ Jᵀ w Σ_e⁻¹ D."""
+    rig, _ = learn_field(np.random.default_rng(22), np.zeros(NUM_COEFFICIENTS), 20)
+    assert np.abs(rig.image.cov[:2, 2:]).max() > 0.0
+    tracks = seen_twice(np.random.default_rng(14), 200)
+    solution = solve(tracks, StudentT())
+    _, common_mode = update_rig(rig, tracks, solution, CAMERA)
+    D = calibration_sensitivity(tracks, solution, CAMERA)[:, :, : 1 + NUM_ERRORS]
+    weighted = solution.irls_weight[:, None, None] * (solution.information @ D)
+    gain = np.linalg.solve(solution.hessian, np.einsum("nij,nik->jk", solution.jacobian, weighted))
+    covariance = np.zeros((1 + NUM_ERRORS, 1 + NUM_ERRORS))
+    covariance[0, 0] = CONSTANT_SIGMA_PX**2
+    covariance[1:, 1:] = rig.image.cov
+    expected = gain @ covariance @ gain.T
+    claimed = common_mode.columns @ common_mode.columns.T
+    np.testing.assert_allclose(claimed, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
 def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant() -> None:
     clean = seen_twice(np.random.default_rng(12), 100)
     solution = solve(clean, Fixed())

@@ -38,7 +38,7 @@ from probevo.camera.distortion_field import COMMON_MODES, DISPARITY_MODES, modes
 from probevo.camera.distortion_field_numba import correct_by_field
 from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.focal_length import FocalLengthEstimate
-from probevo.camera.image_errors import ImageErrors
+from probevo.camera.image_errors import NUM_ERRORS, ImageErrors
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows import fit_row_offsets
 from probevo.camera.rig_rows_numba import (
@@ -105,10 +105,16 @@ class RigCalibration:
     @property
     def disparity_cov(self) -> FloatArray:
         """Covariance of (b₀, b₁, b₂), [3, 3], px²."""
+        return self.disparity_and_field_cov[:3, :3]
+
+    @property
+    def disparity_and_field_cov(self) -> FloatArray:
+        """Joint covariance of (b₀, b₁, b₂) and the distortion field, [1 + NUM_ERRORS, 1 +
+        NUM_ERRORS], px²."""
         # b₀ is not estimated, so that it is independent of the others and keeps its prior.
-        covariance = np.zeros((3, 3))
+        covariance = np.zeros((1 + NUM_ERRORS, 1 + NUM_ERRORS))
         covariance[0, 0] = CONSTANT_SIGMA_PX**2
-        covariance[1:, 1:] = self.image.disparity_cov
+        covariance[1:, 1:] = self.image.cov
         return covariance
 
     def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:

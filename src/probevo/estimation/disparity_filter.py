@@ -28,7 +28,8 @@ independent noise in each frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +68,31 @@ _CHOSEN = 1.0
 are not negative."""
 
 
+class StepCorrelation(NamedTuple):
+    """What correlates the error of a step's motion with those of the steps before and after it.
+
+    The common-mode errors c, of covariance I before and after each step, carry the correlation on:
+    given them, the errors of two successive steps are independent.
+    """
+
+    with_before: FloatArray
+    """Cross-covariance of the step's error with c before the step, [6, K]; 0 if the filter was
+    empty then."""
+    with_after: FloatArray
+    """Cross-covariance of the step's error with c after the step, [6, K]."""
+    transition: FloatArray
+    """Cross-covariance of c before the step with c after it, [K, K]."""
+
+    @staticmethod
+    def none() -> StepCorrelation:
+        """Return that of a step whose error is independent of all others."""
+        return StepCorrelation(
+            with_before=np.zeros((6, COMMON)),
+            with_after=np.zeros((6, COMMON)),
+            transition=np.zeros((COMMON, COMMON)),
+        )
+
+
 @dataclass(frozen=True)
 class DisparityFilter:
     """The states of M tracks, given all frames so far."""
@@ -88,6 +114,8 @@ class DisparityFilter:
     jitter: JitterPrior | None = None
     """Posterior of the rig's jitter in the last frame, with its part of ``common``; None if the
     noise has no jitter, or the filter is empty."""
+    correlation: StepCorrelation = field(default_factory=StepCorrelation.none)
+    """Of the last step with its neighbours."""
 
     @staticmethod
     def none() -> DisparityFilter:
@@ -129,7 +157,20 @@ class DisparityFilter:
             path_sensitivity=self.path_sensitivity,
             path_cross_cov=self.path_cross_cov,
             jitter=jitter,
+            correlation=self.correlation,
         )
+
+
+class CommonErrors(NamedTuple):
+    """The errors z = (ξ, η, c) that N features have in common: of the motion, of the rig's jitter
+    if the noise has one, and of the disparities."""
+
+    jacobian: FloatArray
+    """Derivative of the prediction by z, [N, 4, m + 6], with m = 6, or 12 with a jitter."""
+    mean: FloatArray
+    """Their mean, [m + 6]."""
+    cov: FloatArray
+    """Their covariance, [m + 6, m + 6]."""
 
 
 @dataclass(frozen=True)
@@ -199,6 +240,40 @@ class _JointPosterior:
             raise np.linalg.LinAlgError("the normal equations are singular to working precision")
         return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
 
+    @staticmethod
+    def at_known_motion(
+        solution: ReprojectionSolution, prior: DisparityFilter, motion_cov: FloatArray
+    ) -> _JointPosterior:
+        """Return the posterior where something else than the features tells the motion, too.
+
+        Args:
+            solution: the features at the mean of the motion.
+            prior: the filter's states of its tracks.
+            motion_cov: covariance of the motion, [6, 6].
+        """
+        # (η, c) given ξ = 0: its mean, its derivative G by ξ, and its covariance V. With P the
+        # covariance of the motion, the joint covariance is [[P, P Gᵀ], [G P, V + G P Gᵀ]].
+        known = _JointPosterior.of(solution, prior, knows_motion=True)
+        unknown = _JointPosterior.of(solution, prior)
+        cov = unknown.root @ unknown.root.T
+        gain = np.linalg.solve(cov[:6, :6], cov[:6, 6:]).T
+        rest = known.root[6:] @ known.root[6:].T
+        cross = gain @ motion_cov
+        joint = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
+        return replace(known, root=np.linalg.cholesky(joint))
+
+    def common_errors(self, prior: DisparityFilter) -> CommonErrors:
+        """Return how z moves the predictions of all features, its mean and its covariance."""
+        # M = H U of the tracks in the filter: d moves the whole prediction, δ its u_r alone.
+        rows = prior.states.rows
+        of_common = np.zeros((len(self.linearized.jacobian), 4, COMMON))
+        of_common[rows] = (
+            self.linearized.disparity_jacobian[rows, :, None] * self.common[:, None, 0]
+        )
+        of_common[rows, 2] -= self.common[:, 1]
+        jacobian = np.concatenate([self.linearized.jacobian, of_common], axis=2)
+        return CommonErrors(jacobian, self.mean, self.root @ self.root.T)
+
 
 def update_with_common_mode(
     prior: DisparityFilter,
@@ -254,13 +329,33 @@ def update_at_known_motion(
     solution: ReprojectionSolution,
     camera: StereoCamera,
     inliers: BoolArray,
-) -> DisparityFilter:
-    """Update the filter with a known motion; arguments as of ``update_with_common_mode``."""
+    motion_cov: FloatArray | None = None,
+) -> tuple[DisparityFilter, CommonErrors | None]:
+    """Update the filter with a motion that is known.
+
+    Args:
+        prior: the filter's states of these tracks (``of_tracks``).
+        tracks: the N tracks.
+        noise: the noise of each; without time-correlated errors there is nothing to filter.
+        solution: the tracks at the mean of the motion.
+        camera: the rectified camera.
+        inliers: which of the tracks to keep in the filter, [N]; the others start afresh.
+        motion_cov: covariance of the motion, [6, 6]; None if it is known exactly.
+
+    Returns:
+        The filter after the step, and the errors that the tracks have in common; None where the
+        motion is exact, or the features do not determine it.
+    """
     posterior = None
+    common = None
     try:
-        if solution.jitter is not None and np.isfinite(solution.cov).all():
-            posterior = _JointPosterior.of(solution, prior, knows_motion=True)
-        return _update(
+        if noise.time_correlated is not None and np.isfinite(solution.cov).all():
+            if motion_cov is not None:
+                posterior = _JointPosterior.at_known_motion(solution, prior, motion_cov)
+                common = posterior.common_errors(prior)
+            elif solution.jitter is not None:
+                posterior = _JointPosterior.of(solution, prior, knows_motion=True)
+        after = _update(
             prior,
             tracks,
             noise,
@@ -270,7 +365,8 @@ def update_at_known_motion(
             posterior=posterior,
         )
     except np.linalg.LinAlgError:
-        return DisparityFilter.none()
+        return DisparityFilter.none(), None
+    return after, common
 
 
 def _update(
@@ -331,6 +427,7 @@ def _update(
     kept_common = np.zeros((count, 2, COMMON))
     path_sensitivity = np.zeros((6, COMMON))
     path_cross_cov = np.zeros((6, 6))
+    correlation = StepCorrelation.none()
     jitter = None
     if posterior is not None:
         root = posterior.root
@@ -348,11 +445,15 @@ def _update(
         # Path and step depend on the same whitened errors: hence their cross-covariance. The path
         # before the step depends on c and η° only, the last of z, and is turned to the axes of the
         # current frame.
-        step = root[:6]
+        correlation = _correlation_of(
+            root[:6],
+            root[own + COMMON - common.shape[2] :],
+            directions,
+            is_first=not prior.path_sensitivity.any(),
+        )
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
-        common_before = root[own + COMMON - common.shape[2] :]
-        path_sensitivity = (path_before @ common_before + step) @ directions
-        path_cross_cov = path_before @ common_before @ step.T
+        path_sensitivity = path_before @ correlation.transition + correlation.with_after
+        path_cross_cov = path_before @ correlation.with_before.T
     # Move the disparities to the current frame: divide by q_z, the ratio of new to old depth
     # (``camera.transfer``).
     px = tracks.prev_px[chosen]
@@ -379,6 +480,27 @@ def _update(
         path_sensitivity=path_sensitivity,
         path_cross_cov=path_cross_cov,
         jitter=jitter,
+        correlation=correlation,
+    )
+
+
+def _correlation_of(
+    step: FloatArray, common_before: FloatArray, directions: FloatArray, *, is_first: bool
+) -> StepCorrelation:
+    """Return how a step is correlated with its neighbours, through L whitened errors of the step.
+
+    Args:
+        step: derivatives of the motion by the whitened errors, [6, L].
+        common_before: those of c before the step, [K, L].
+        directions: the directions of the whitened errors that are c after the step, [L, K].
+        is_first: whether there was no step before, with which c has nothing to do then.
+    """
+    if is_first:
+        common_before = np.zeros_like(common_before)
+    return StepCorrelation(
+        with_before=step @ common_before.T,
+        with_after=step @ directions,
+        transition=common_before @ directions,
     )
 
 

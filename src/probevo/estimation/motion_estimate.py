@@ -14,7 +14,8 @@ from probevo.arrays import FloatArray
 
 COMMON_MODE_COLUMNS = 9
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
-(``camera.rig_calibration``), and six for its distortion field (``camera.distortion_field``)."""
+(``camera.rig_calibration``), and six for what of its distortion field
+(``camera.distortion_field``) is independent of these."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ class CommonMode(NamedTuple):
     """How errors of the calibration before a step move its motion."""
 
     columns: FloatArray
-    """Root of Schmidt's consider term, [6, COMMON_MODE_COLUMNS]: ∂ξ/∂(errors, whitened)."""
+    """Root of Schmidt's consider term, [6, COMMON_MODE_COLUMNS]: ∂ξ/∂(errors, whitened). Three are
+    for b₀, b₁ and b₂, six for what of the distortion field is independent of these."""
     distortion_gain: FloatArray
     """∂ξ/∂(coefficients of the distortion field), [6, NUM_COEFFICIENTS], m/px and rad/px."""
 
@@ -125,9 +126,12 @@ def update_rig(
     # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
     # held here.
     motion_gain = np.linalg.solve(solution.hessian, C[:6, : _FIELD.stop]).astype(float)
-    of_disparity = motion_gain[:, :3] @ np.linalg.cholesky(rig.disparity_cov)
+    # One root of the joint covariance, which is lower triangular: b moves the motion by itself and
+    # by what it tells of the field; of the field, only what is independent of b is left to add.
+    root = np.linalg.cholesky(rig.disparity_and_field_cov)
+    of_disparity = motion_gain @ root[:, :3]
     distortion_gain = motion_gain[:, _FIELD]
-    of_field = _square_root(distortion_gain @ np.linalg.cholesky(rig.image.distortion_cov))
+    of_field = _square_root(distortion_gain @ root[_FIELD, _FIELD])
     return updated, CommonMode(np.hstack([of_disparity, of_field]), distortion_gain)
 
 

@@ -18,6 +18,7 @@ from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.estimation.alignment import solve_alignment
 from probevo.estimation.disparity_filter import (
+    CommonErrors,
     DisparityFilter,
     update_at_known_motion,
     update_with_common_mode,
@@ -43,6 +44,9 @@ class TwoFrameEstimate:
     """The disparity filter after the step, its disparities those of the current frame."""
     has_history: BoolArray
     """Which tracks the filter already knew before the step, [N]."""
+    common: CommonErrors | None = None
+    """The errors of a given motion, of the rig's jitter and of the disparities, as far as all
+    tracks have them in common; None if they are those of the solution alone."""
 
 
 class Estimator(Protocol):
@@ -95,8 +99,17 @@ class Estimator(Protocol):
         disparities: DisparityFilter,
         *,
         T_curr_prev: FloatArray,
+        cov: FloatArray | None = None,
     ) -> TwoFrameEstimate:
-        """Evaluate N tracks at a known motion, [4, 4], and update the filter, as in training."""
+        """Evaluate N tracks at a known motion and update the filter, as in training.
+
+        Args:
+            tracks: inliers, corrected by the rig's calibration.
+            noise: the noise of each track.
+            disparities: the disparity filter after the previous frame.
+            T_curr_prev: the motion, [4, 4].
+            cov: its covariance, [6, 6]; None if it is known exactly.
+        """
 
 
 class TwoFrameEstimator:
@@ -185,6 +198,7 @@ class TwoFrameEstimator:
         disparities: DisparityFilter,
         *,
         T_curr_prev: FloatArray,
+        cov: FloatArray | None = None,
     ) -> TwoFrameEstimate:
         """Evaluate the features at the motion, then update the disparities of the inliers."""
         prior = disparities.of_tracks(tracks)
@@ -193,20 +207,23 @@ class TwoFrameEstimator:
         solution = solve_reprojection(observations, guess=T_curr_prev, holds_motion=True)
         weights = feature_weights(solution, noise.dof, self.config.loss)
         after = DisparityFilter.none()
+        common = None
         if self._filters_disparities:
-            after = update_at_known_motion(
+            after, common = update_at_known_motion(
                 prior,
                 tracks,
                 noise,
                 solution=solution,
                 camera=self.camera,
                 inliers=weights >= INLIER_FROM,
+                motion_cov=cov,
             )
         return TwoFrameEstimate(
             solution=solution,
             weights=weights,
             disparities=after,
             has_history=_has_history(prior, tracks),
+            common=common,
         )
 
     def _observations(

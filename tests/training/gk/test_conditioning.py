@@ -5,7 +5,12 @@ import pytest
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.geometry import se3
-from probevo.training.gk.conditioning import LOOP_SIGMA, conditioned
+from probevo.training.gk.conditioning import (
+    LOOP_SIGMA,
+    MOST_COMMON,
+    StepCorrelations,
+    conditioned,
+)
 from probevo.training.gk.expectation import UNSOLVED_SIGMA
 from probevo.training.supervision import Supervision
 
@@ -124,6 +129,61 @@ def test_the_posterior_is_consistent() -> None:
         left = se3.log(true @ se3.inverse(fused))
         squared.append(np.einsum("ki,kij,kj->k", left, np.linalg.inv(posterior), left))
     np.testing.assert_allclose(np.mean(squared, axis=0), 6.0, rtol=0.08)  # standard error 0.08
+
+
+def correlated_through_common_errors(seed: int = 0) -> tuple[StepCorrelations, FloatArray]:
+    """Draw steps whose errors depend on common ones, and return their joint covariance,
+    [K − 1, 6, K − 1, 6]."""
+    rng = np.random.default_rng([seed, 4])
+    # w whitened errors: given c before the step, the step moves with the first six, and the last
+    # are what is not known of c.
+    size = 6 + MOST_COMMON
+    roots = 1e-3 * rng.normal(size=(STEPS, 6, size))
+    before = 0.9 * np.linalg.qr(rng.normal(size=(STEPS, size, MOST_COMMON)))[0].mT
+    after = np.linalg.qr(rng.normal(size=(STEPS, size, MOST_COMMON)))[0]
+    correlations = StepCorrelations(
+        with_before=roots @ before.mT, with_after=roots @ after, transition=before @ after
+    )
+    joint = np.zeros((STEPS, 6, STEPS, 6))
+    for j in range(STEPS):
+        joint[j, :, j] = roots[j] @ roots[j].T
+        # The covariance of step j with c after it, and after each of the steps that follow.
+        with_common = correlations.with_after[j]
+        for k in range(j + 1, STEPS):
+            joint[j, :, k] = with_common @ correlations.with_before[k].T
+            joint[k, :, j] = joint[j, :, k].T
+            with_common = with_common @ correlations.transition[k]
+    return correlations, joint
+
+
+def test_correlated_steps_move_as_their_joint_gaussian_does() -> None:
+    """A stretch of eight steps: mean and covariance of each given the motion of all, in closed
+    form; the steps before and after it stay as they are."""
+    first = 2
+    end = 10
+    true = motions()
+    correlations, joint = correlated_through_common_errors()
+    cov = np.array([joint[k, :, k] for k in range(STEPS)])
+    assert np.linalg.eigvalsh(joint.reshape(6 * STEPS, 6 * STEPS)).min() > 0.0
+    seen = disturbed(true, cov)
+    sigma = np.full(6, 5e-4)
+    poses = se3.chain_motions(true)[[first, end]]
+    known = Supervision("sparse", np.array([first, end]), poses)
+    fused, posterior = conditioned(seen, cov, known, truth_sigma=sigma, correlations=correlations)
+    # H = (Ad_1, …, Ad_m) maps the perturbations of the steps to that of the whole motion.
+    H = np.hstack([se3.adjoint(over(seen, k + 1, end)) for k in range(first, end)])
+    of_stretch = joint[first:end, :, first:end].reshape(len(H.T), len(H.T))
+    innovation_cov = H @ of_stretch @ H.T + np.diag(sigma**2)
+    gain = of_stretch @ H.T @ np.linalg.inv(innovation_cov)
+    distance = se3.log(over(true, first, end) @ se3.inverse(over(seen, first, end)))
+    moved = se3.log(fused[first:end] @ se3.inverse(seen[first:end]))
+    np.testing.assert_allclose(moved.ravel(), gain @ distance, rtol=1e-6, atol=1e-12)
+    left = of_stretch - gain @ H @ of_stretch
+    for k in range(end - first):
+        own = slice(6 * k, 6 * k + 6)
+        np.testing.assert_allclose(posterior[first + k], left[own, own], rtol=1e-7, atol=1e-15)
+    outside = np.r_[0:first, end:STEPS]
+    np.testing.assert_array_equal(fused[outside], seen[outside])
 
 
 def test_steps_outside_of_all_stretches_stay_as_they_are() -> None:

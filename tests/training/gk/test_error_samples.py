@@ -8,6 +8,7 @@ from probevo.noise.metric import Metric
 from probevo.training.gk.error_samples import (
     BLOCKS_A_DRIVE,
     STEPS_A_BLOCK,
+    FeatureLikelihoods,
     blocks_of,
     gather_error_samples,
 )
@@ -34,14 +35,18 @@ def test_no_block_is_short_but_where_a_single_drive_is(steps: list[int], blocks:
     assert blocks_of(steps) == blocks
 
 
-def groups_of(*frames: int) -> list[int]:
-    """Return how many blocks there are of each drive with so many frames."""
+def context_of(*frames: int) -> TrainingContext:
+    """Return what a training has of drives with so many frames."""
     worlds = [point_world(frames=count, landmarks=200) for count in frames]
     drives = [in_memory(drive_of(world), world, "gt") for world in worlds]
     settings = TrainSettings(kind="gk", supervision="gt", predictors=("place",))
     metric = Metric.fitted(drives[0].drive.phi)
-    context = TrainingContext(drives=drives, metric=metric, settings=settings)
-    groups = gather_error_samples(context, StudentT(), lambda share: None).groups
+    return TrainingContext(drives=drives, metric=metric, settings=settings)
+
+
+def groups_of(*frames: int) -> list[int]:
+    """Return how many blocks there are of each drive with so many frames."""
+    groups = gather_error_samples(context_of(*frames), StudentT(), lambda share: None).groups
     assert (np.diff(groups) >= 0).all()
     counts: list[int] = np.bincount(np.unique(groups) // BLOCKS_A_DRIVE).tolist()
     return counts
@@ -54,3 +59,23 @@ def test_short_drives_are_left_out_as_a_whole() -> None:
 
 def test_a_single_short_drive_is_cut_in_two() -> None:
     assert groups_of(10) == [2]
+
+
+def test_features_are_counted_over_all_drives() -> None:
+    samples = gather_error_samples(context_of(4, 5), StudentT(), lambda share: None)
+    first, second = (
+        gather_error_samples(context_of(n), StudentT(), lambda share: None) for n in (4, 5)
+    )
+    num_first = context_of(4).drives[0].facts.features
+    expected = np.concatenate([first.features, num_first + second.features])
+    np.testing.assert_array_equal(samples.features, expected)
+
+
+def test_likelihoods_are_compared_feature_by_feature() -> None:
+    """Features that one of both lacks, however unlikely, have no say."""
+    before = FeatureLikelihoods(np.array([1, 4, 6, 9]), np.array([-3.0, -90.0, -5.0, -4.0]))
+    after = FeatureLikelihoods(np.array([1, 6, 8, 9]), np.array([-2.0, -5.5, 7.0, -3.9]))
+    assert after.gain_over(before) == pytest.approx((1.0 - 0.5 + 0.1) / 3.0)
+    assert before.gain_over(after) == pytest.approx(-(1.0 - 0.5 + 0.1) / 3.0)
+    nothing = FeatureLikelihoods(np.zeros(0, np.int64), np.zeros(0))
+    assert after.gain_over(nothing) == 0.0

@@ -3,6 +3,7 @@ with none."""
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,8 @@ from probevo.noise import GeneralizedKernel, NoiseModel, StudentT
 from probevo.noise.metric import Metric
 from probevo.sequences.base import Sequence
 from probevo.training.drive import Drive
+from probevo.training.gk import expectation_maximization
+from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
 from probevo.training.gk.expectation import solve_drive
 from probevo.training.gk.expectation_maximization import (
     STATIC_ITERATIONS,
@@ -141,6 +144,33 @@ def test_a_model_says_after_which_iteration_it_was_taken() -> None:
     assert static().training["kept_iteration"] == STATIC_ITERATIONS
     assert static().training["time_correlation_gain"] < TIME_CORRELATION_GAIN
     assert learned().model.training["kept_iteration"] == GIVEN["iterations"]
+
+
+def test_features_that_drop_out_do_not_decide_on_time_correlation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where the motion of the hardest steps is no longer found: the features that are left seem
+    likelier by far more than the margin, but each of them is not."""
+    likelihoods = []
+
+    def without_unlikely(
+        context: TrainingContext, model: NoiseModel, on_part: Callable[[float], None]
+    ) -> ErrorSamples:
+        """Leave out the unlikeliest twentieth where the model may have time correlation."""
+        samples = gather_error_samples(context, model, on_part)
+        if len(likelihoods) > STATIC_ITERATIONS:
+            likely = samples.log_likelihood > np.quantile(samples.log_likelihood, 0.05)
+            arrays = ("features", "phi", "errors", "spread", "groups", "log_likelihood", "profile")
+            samples = replace(samples, **{name: getattr(samples, name)[likely] for name in arrays})
+        likelihoods.append(samples.progress["log_likelihood"])
+        return samples
+
+    monkeypatch.setattr(expectation_maximization, "gather_error_samples", without_unlikely)
+    model = learn_student_t(context_of([supervised_drive(frames=20)], settings_of()))
+    assert len(likelihoods) == 2 * STATIC_ITERATIONS
+    assert likelihoods[-1] > likelihoods[STATIC_ITERATIONS] + 2.0 * TIME_CORRELATION_GAIN
+    assert model.training["time_correlation_gain"] < TIME_CORRELATION_GAIN
+    assert model.training["kept_iteration"] == STATIC_ITERATIONS
 
 
 def test_without_any_truth_the_motions_of_another_drive_get_better() -> None:

@@ -9,6 +9,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig, SolverConfig
+from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise import StudentT
 from probevo.noise.metric import Metric
@@ -129,17 +130,19 @@ def test_errors_at_a_known_motion_leave_the_jitter_uncertain() -> None:
     drive = drive_through("constant", SIGMA_PX, frames=4)
     noise = StudentT(jitter_cov=initial_covariance()).predict(drive.drive.phi)
     rows = drive.drive.rows(0)
-    solution = TwoFrameEstimator(drive.camera, SolverConfig()).solve(
+    estimate = TwoFrameEstimator(drive.camera, SolverConfig()).estimate(
         drive.drive.tracks(0),
         noise.subset(np.arange(rows.start, rows.stop)),
+        DisparityFilter.none(),
         guess=drive.drive.T_curr_prev[0],
     )
-    known = CommonUnknowns.of(solution, np.zeros((6, 6)))
+    solution = estimate.solution
+    known = CommonUnknowns.of(estimate, np.zeros((6, 6)))
     assert not known.cov[:6].any()
     information = np.linalg.inv(solution.full_cov)
     np.testing.assert_allclose(known.cov[6:, 6:], np.linalg.inv(information[6:, 6:]), rtol=1e-6)
     # With the motion's own covariance, the two have the covariance of the solve.
-    both = CommonUnknowns.of(solution, solution.cov)
+    both = CommonUnknowns.of(estimate, solution.cov)
     np.testing.assert_allclose(both.cov, solution.full_cov, rtol=1e-6, atol=1e-12)
 
 

@@ -16,6 +16,7 @@ from probevo.training.probe.samples import (
 )
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
 from probevo.training.settings import TrainSettings
+from probevo.training.supervision import Supervision
 from training.supervised_drives import drive_of, known, point_world, sampler_of
 
 WORLDS = [point_world(seed=seed, frames=21) for seed in (0, 1)]
@@ -102,6 +103,30 @@ def test_folds_divide_no_stretch(every: int) -> None:
     for each in np.unique(owner[owner >= 0]):
         assert len(np.unique(folds[owner == each])) == 1
     assert len(np.unique(folds)) > 1
+
+
+@pytest.mark.parametrize("frames", [[0, 10, 20], [0, 12, 20], [2, 5, 9, 12, 16, 18]])
+def test_of_a_few_stretches_each_has_a_fold_of_its_own(frames: list[int]) -> None:
+    """Two equal ones would otherwise share one, since ten blocks alternate over five folds."""
+    world = WORLDS[0]
+    known_at = np.array(frames)
+    supervision = Supervision("sparse", known_at, world.T_world_cam[known_at])
+    sampler = sampler_of(drive_of(world), supervision, world.camera)
+    folds = folds_of_steps(sampler, 3)
+    count = len(frames) - 1
+    np.testing.assert_array_equal(folds[known_at[:-1]], (np.arange(count) + 3) % FOLDS)
+    owner = supervision.stretch_of_step(20)
+    for each in range(count):
+        assert len(np.unique(folds[owner == each])) == 1
+    # Steps outside of all stretches are with the nearest one.
+    assert folds[0] == folds[frames[0]]
+    assert folds[-1] == folds[frames[-1] - 1]
+
+
+@pytest.mark.parametrize("num_steps", [2, 4, 5, 9])
+def test_of_a_few_steps_neighbours_have_folds_of_their_own(num_steps: int) -> None:
+    folds = fold_of_step(np.arange(num_steps), num_steps, 1)
+    np.testing.assert_array_equal(folds, (np.arange(num_steps) + 1) % FOLDS)
 
 
 @pytest.mark.parametrize("kind", ["gt", "loop"])

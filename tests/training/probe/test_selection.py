@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import IntArray
+from probevo.config import SolverConfig
 from probevo.noise import Fixed, NoiseModel, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
@@ -204,6 +205,17 @@ def test_equal_weights_give_the_motions_back(sampled: SampledDrive) -> None:
     used[sampled.drive.rows(5)] = False
     motions = weighted_motions(sampled.sampler, 4.0 * ones, used)
     np.testing.assert_array_equal(motions[5], sampled.drive.T_curr_prev[5])
+
+
+def test_a_solve_that_does_not_converge_counts_as_it_is(sampled: SampledDrive) -> None:
+    """Weights that spoil a step must not be judged by the motion of equal ones: after one iteration
+    no solve has converged, and each step is off by more than with equal weights."""
+    sampler = replace(sampled.sampler, solver=SolverConfig(max_iterations=1))
+    truth = true_motions(sampled.world)
+    log_sigma = sampled.drive.phi[:, 0] - sampled.drive.phi[:, 0].mean()
+    motions = weighted_motions(sampler, np.exp(-8.0 * log_sigma), sampled.drive.used)
+    assert (np.abs(motions - sampled.drive.T_curr_prev).max(axis=(1, 2)) > 0.0).all()
+    assert rmse_m(motions, truth) > 1.5 * rmse_m(sampled.drive.T_curr_prev, truth)
 
 
 def test_steps_that_no_half_can_solve_have_no_say() -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
+from probevo.estimation.disparity_filter import StepCorrelation
+from probevo.estimation.disparity_filter_numba import COMMON
 from probevo.estimation.visual_motion import MOTIONS_DIFFER_FROM
 from probevo.geometry import se3
+from probevo.measurements.jitter_numba import AXES
 from probevo.training.supervision import Supervision
 
 LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
@@ -19,37 +23,119 @@ FEW_STRETCHES = 20
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
 hand."""
+MOST_COMMON = COMMON + AXES
+"""Largest number K of common-mode errors: those of the disparities, and of the rig's jitter."""
+
+
+class StepCorrelations(NamedTuple):
+    """The ``StepCorrelation`` of each of K − 1 steps, filled up with zeros."""
+
+    with_before: FloatArray
+    """[K − 1, 6, MOST_COMMON]."""
+    with_after: FloatArray
+    """[K − 1, 6, MOST_COMMON]."""
+    transition: FloatArray
+    """[K − 1, MOST_COMMON, MOST_COMMON]."""
+
+    @staticmethod
+    def none(num_steps: int) -> StepCorrelations:
+        """Return those of steps whose errors are independent."""
+        return StepCorrelations(
+            with_before=np.zeros((num_steps, 6, MOST_COMMON)),
+            with_after=np.zeros((num_steps, 6, MOST_COMMON)),
+            transition=np.zeros((num_steps, MOST_COMMON, MOST_COMMON)),
+        )
+
+    @staticmethod
+    def of(steps: Sequence[StepCorrelation]) -> StepCorrelations:
+        """Gather those of single steps."""
+        found = StepCorrelations.none(len(steps))
+        for k, step in enumerate(steps):
+            before, after = step.transition.shape
+            found.with_before[k, :, :before] = step.with_before
+            found.with_after[k, :, :after] = step.with_after
+            found.transition[k, :before, :after] = step.transition
+        return found
+
+    def between(self, first: int, end: int) -> StepCorrelations:
+        """Return those of the steps from ``first`` to before ``end``."""
+        return StepCorrelations(
+            with_before=self.with_before[first:end],
+            with_after=self.with_after[first:end],
+            transition=self.transition[first:end],
+        )
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class Stretch:
     """The m steps of a stretch, and the distance of its motion from the truth."""
 
     first: int
     """First step."""
     end: int
     """The step after the last one."""
-    to_end: FloatArray
-    """Adjoint Ad_k that maps a perturbation of each step to one of the whole motion, [m, 6, 6]."""
+    cross_cov: FloatArray
+    """Cross-covariance of each step with the whole motion, [m, 6, 6]."""
     cov: FloatArray
     """Covariance M of the whole motion, [6, 6]."""
     distance: FloatArray
     """ξ = Log(T_true T⁻¹), [6], m and rad."""
+
+    @staticmethod
+    def of(
+        T_curr_prev: FloatArray,
+        cov: FloatArray,
+        correlations: StepCorrelations,
+        *,
+        first: int,
+        end: int,
+        T_world_cam: FloatArray,
+    ) -> Stretch:
+        """Compound the motions of a stretch and compare them with the truth.
+
+        Args:
+            T_curr_prev: motion of each step of the drive, [K − 1, 4, 4].
+            cov: covariance of each, [K − 1, 6, 6].
+            correlations: what correlates their errors.
+            first: first step of the stretch.
+            end: the step after the last one.
+            T_world_cam: true poses at both ends of the stretch, [2, 4, 4].
+        """
+        # From the last step backwards, so that each adjoint is that of the steps after it.
+        motions = T_curr_prev[first:end]
+        T_last_k = np.eye(4)
+        to_end = np.empty((len(motions), 6, 6))
+        for k in range(len(motions) - 1, -1, -1):
+            to_end[k] = se3.adjoint(T_last_k)
+            T_last_k = T_last_k @ motions[k]
+        # The covariance M = Σ Ad_k G_k of the motion of the whole stretch, and the distance of the
+        # true motion from it. T_true is T_world_last⁻¹ T_world_first.
+        cross_cov = _cross_covariances(cov[first:end], to_end, correlations.between(first, end))
+        M: FloatArray = np.sum(to_end @ cross_cov, axis=0)
+        T_true = se3.inverse(T_world_cam[1]) @ T_world_cam[0]
+        distance = se3.log(T_true @ se3.inverse(T_last_k))
+        return Stretch(
+            first=first, end=end, cross_cov=cross_cov, cov=0.5 * (M + M.T), distance=distance
+        )
 
 
 def conditioned(
     T_curr_prev: FloatArray,
     cov: FloatArray,
     supervision: Supervision,
+    *,
     truth_sigma: FloatArray | None,
     is_solved: BoolArray | None = None,
+    correlations: StepCorrelations | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Condition the motions of K − 1 steps on the true motion over each stretch.
 
     The motion over a stretch is T = T_m … T_1, and perturbations ξ_k of its steps move it by
-    Σ Ad_k ξ_k with Ad_k = Ad(T_m … T_{k+1}). With M = Σ Ad_k C_k Ad_kᵀ, the covariance P of the
-    truth and its distance ξ = Log(T_true T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. For
-    stretches of one step this is the fusion of two Gaussians.
+    Σ Ad_k ξ_k with Ad_k = Ad(T_m … T_{k+1}). With the covariances C_jk of steps j and k, the
+    cross-covariance of a step with the whole motion is G_k = Σ_j C_kj Ad_jᵀ, and the covariance of
+    the whole motion is M = Σ Ad_k G_k. With the covariance P of the truth and its distance
+    ξ = Log(T_true T⁻¹), each step moves by G_k (M + P)⁻¹ ξ. For stretches of one step this is the
+    fusion of two Gaussians.
 
     P is estimated from the distances of the stretches whose steps are all solved unless it is
     given, or the loop is only assumed to close. Truth that fails the gate
@@ -62,6 +148,7 @@ def conditioned(
         truth_sigma: standard deviation of the truth over a stretch, m and rad, [6]; None to
             estimate it.
         is_solved: whether the features determine the motion of each step, [K − 1]; by default all.
+        correlations: what correlates the errors of the K − 1 motions; by default nothing does.
 
     Returns:
         motions [K − 1, 4, 4] and covariances [K − 1, 6, 6] given the truth.
@@ -69,10 +156,20 @@ def conditioned(
     # The distance of each stretch from the truth.
     motions = T_curr_prev.copy()
     posterior = cov.copy()
+    if correlations is None:
+        correlations = StepCorrelations.none(len(cov))
     stretches = []
     for i, (first, end) in enumerate(supervision.stretches.tolist()):
-        T_world_cam = supervision.T_world_cam[[i, i + 1]]
-        stretches.append(_stretch(T_curr_prev, cov, first, end, T_world_cam=T_world_cam))
+        stretches.append(
+            Stretch.of(
+                T_curr_prev,
+                cov,
+                correlations,
+                first=first,
+                end=end,
+                T_world_cam=supervision.T_world_cam[[i, i + 1]],
+            )
+        )
 
     # The covariance P of the truth.
     is_estimated = truth_sigma is None and not supervision.is_assumed
@@ -97,42 +194,48 @@ def conditioned(
         # Kalman update of all steps of the stretch: the truth measures Σ Ad_k ξ_k, with the noise
         # P.
         steps = slice(stretch.first, stretch.end)
-        # The gain is C_k Ad_kᵀ (M + P)⁻¹, [m, 6, 6]. Correlations that the truth makes between
-        # steps are not kept: each step is used by itself.
-        gain = cov[steps] @ np.swapaxes(stretch.to_end, 1, 2) @ information
+        # The gain is G_k (M + P)⁻¹, [m, 6, 6]. The covariances between steps are not updated: each
+        # step is used by itself.
+        gain = stretch.cross_cov @ information
         motions[steps] = se3.exp(gain @ distance) @ T_curr_prev[steps]
-        posterior[steps] -= gain @ stretch.to_end @ cov[steps]
+        posterior[steps] -= gain @ np.swapaxes(stretch.cross_cov, 1, 2)
     return motions, posterior
 
 
-def _stretch(
-    T_curr_prev: FloatArray, cov: FloatArray, first: int, end: int, *, T_world_cam: FloatArray
-) -> _Stretch:
-    """Compound the motions of a stretch and compare them with the truth.
+def _cross_covariances(
+    cov: FloatArray, to_end: FloatArray, correlations: StepCorrelations
+) -> FloatArray:
+    """Return the cross-covariance G_k of each step with the whole motion Σ Ad_j ξ_j, [m, 6, 6].
+
+    With B_k and A_k the cross-covariances of step k with the common errors c before and after it,
+    and Φ_k that of c before with c after it, the steps j < k have S_j = cov(Σ_{i≤j} Ad_i ξ_i, c)
+    and the steps j > k have N_k = cov(c, Σ_{j>k} Ad_j ξ_j), both with c after step j or k:
+
+        S_k = S_{k−1} Φ_k + Ad_k A_k
+        N_{k−1} = B_kᵀ Ad_kᵀ + Φ_k N_k
+        G_k = C_k Ad_kᵀ + B_k S_{k−1}ᵀ + A_k N_k
 
     Args:
-        T_curr_prev: motion of each step of the drive, [K − 1, 4, 4].
-        cov: covariance of each, [K − 1, 6, 6].
-        first: first step of the stretch.
-        end: the step after the last one.
-        T_world_cam: true poses at both ends of the stretch, [2, 4, 4].
+        cov: covariance C_k of each step, [m, 6, 6].
+        to_end: adjoint Ad_k that maps a perturbation of each step to one of the whole motion,
+            [m, 6, 6].
+        correlations: of the m steps.
     """
-    # From the last step backwards, so that each adjoint is that of the steps after it.
-    motions = T_curr_prev[first:end]
-    T_last_k = np.eye(4)
-    to_end = np.empty((len(motions), 6, 6))
-    for k in range(len(motions) - 1, -1, -1):
-        to_end[k] = se3.adjoint(T_last_k)
-        T_last_k = T_last_k @ motions[k]
-    # The motion of the whole stretch, its covariance M = Σ Ad_k C_k Ad_kᵀ, and the distance of the
-    # true motion from it. T_true is T_world_last⁻¹ T_world_first.
-    M: FloatArray = np.sum(to_end @ cov[first:end] @ np.swapaxes(to_end, 1, 2), axis=0)
-    T_true = se3.inverse(T_world_cam[1]) @ T_world_cam[0]
-    distance = se3.log(T_true @ se3.inverse(T_last_k))
-    return _Stretch(first=first, end=end, to_end=to_end, cov=M, distance=distance)
+    cross_cov: FloatArray = cov @ np.swapaxes(to_end, 1, 2)
+    # The steps before each.
+    before = np.zeros((6, MOST_COMMON))
+    for k in range(len(cov)):
+        cross_cov[k] += correlations.with_before[k] @ before.T
+        before = before @ correlations.transition[k] + to_end[k] @ correlations.with_after[k]
+    # The steps after each.
+    after = np.zeros((MOST_COMMON, 6))
+    for k in range(len(cov) - 1, -1, -1):
+        cross_cov[k] += correlations.with_after[k] @ after
+        after = (to_end[k] @ correlations.with_before[k]).T + correlations.transition[k] @ after
+    return cross_cov
 
 
-def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:
+def _estimated_truth_sigma(stretches: Sequence[Stretch]) -> FloatArray:
     """Estimate the standard deviation of the truth, m and rad, [6].
 
     It is the scatter of the truth around the features' motions beyond their own uncertainty, by

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +28,34 @@ MOST_FEATURES = 500_000
 share is drawn, evenly from all drives and times."""
 
 
+class FeatureLikelihoods(NamedTuple):
+    """How likely the residuals of N features are under a model."""
+
+    features: IntArray
+    """Index of each feature among those of all drives, [N], without repetition."""
+    log_likelihood: FloatArray
+    """Log density of each residual, [N], nats."""
+
+    def gain_over(self, before: FeatureLikelihoods) -> float:
+        """Return by how much the features that both have are likelier than before, nats a feature.
+
+        Means over all features of each would differ by which ones these are: a step that is no
+        longer solved is a hard one. Without any feature in common, the gain is 0.
+        """
+        both, own, other = np.intersect1d(
+            self.features, before.features, assume_unique=True, return_indices=True
+        )
+        if not len(both):
+            return 0.0
+        return float(np.mean(self.log_likelihood[own] - before.log_likelihood[other]))
+
+
 @dataclass(frozen=True)
 class ErrorSamples:
     """Errors of N features to learn from, and how well the model explained them."""
 
+    features: IntArray
+    """Index of each feature among those of all drives, [N]."""
     phi: FloatArray
     """Place of each feature in the prediction space, [N, M]."""
     errors: FloatArray
@@ -51,6 +76,11 @@ class ErrorSamples:
     """Distance between the estimated and the true end of each drive whose ends are known."""
 
     @property
+    def likelihoods(self) -> FeatureLikelihoods:
+        """The likelihood of each feature."""
+        return FeatureLikelihoods(self.features, self.log_likelihood)
+
+    @property
     def progress(self) -> dict[str, float]:
         """Likelihood a feature and loop closure error, by which an iteration is evaluated (PROBE-GK
         Fig. 8)."""
@@ -63,6 +93,8 @@ class ErrorSamples:
 @dataclass(frozen=True)
 class _Task:
     number: int
+    first_feature: int
+    """Number of features of all drives before this one."""
     drive: SupervisedDrive
     model: NoiseModel
     settings: TrainSettings
@@ -87,14 +119,17 @@ def gather_error_samples(
     """
     drives = context.drives
     # Draw a share of the features, the same of each drive.
-    num_used = sum(drive.facts.used for drive in drives)
+    facts_of_drives = [drive.facts for drive in drives]
+    num_used = sum(facts.used for facts in facts_of_drives)
     share = min(1.0, MOST_FEATURES / max(num_used, 1))
 
     # The errors of each drive are one task.
-    blocks = blocks_of([drive.facts.steps for drive in drives])
+    blocks = blocks_of([facts.steps for facts in facts_of_drives])
+    first_features = np.cumsum([0, *(facts.features for facts in facts_of_drives)]).tolist()
     tasks = [
         _Task(
             number=number,
+            first_feature=first_features[number],
             drive=drive,
             model=model,
             settings=context.settings,
@@ -148,6 +183,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
     block = found.steps * task.blocks // max(num_steps, 1)
     gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
     return ErrorSamples(
+        features=task.first_feature + found.features,
         phi=found.phi,
         errors=found.errors,
         spread=found.spread,

@@ -10,10 +10,10 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import SolverConfig
-from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.disparity_filter import DisparityFilter, StepCorrelation
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.noise.base import StereoNoise
-from probevo.training.gk.conditioning import conditioned
+from probevo.training.gk.conditioning import StepCorrelations, conditioned
 from probevo.training.gk.feature_errors import FeatureErrors, errors_of
 from probevo.training.gk.jitter import CommonUnknowns
 from probevo.training.gk.time_correlation import time_correlation_profile
@@ -37,6 +37,8 @@ class MotionPosterior(NamedTuple):
     """Mean of each motion, [K − 1, 4, 4]."""
     cov: FloatArray
     """Covariance of each left perturbation ξ = [ρ; φ], [K − 1, 6, 6]."""
+    correlations: StepCorrelations | None = None
+    """What correlates the errors of the motions; None if they are used each by itself."""
 
     @property
     def is_solved(self) -> BoolArray:
@@ -108,6 +110,7 @@ def expect(
             drive.supervision,
             truth_sigma=truth_sigma,
             is_solved=solved.is_solved,
+            correlations=solved.correlations,
         )
         posterior = MotionPosterior(T_curr_prev, cov)
     # Second pass: the errors of the features at these motions.
@@ -126,15 +129,20 @@ def solve_drive(drive: SupervisedDrive, predict: Predict, solver: SolverConfig) 
     """
     motions = []
     covariances = []
+    correlations = []
     for step in solved_steps(drive, predict, solver):
         if step.estimate is None:
             motions.append(step.T_curr_prev)
             covariances.append(np.diag(UNSOLVED_SIGMA**2))
+            correlations.append(StepCorrelation.none())
         else:
             motions.append(step.estimate.solution.T_curr_prev)
             covariances.append(step.estimate.solution.cov)
+            correlations.append(step.estimate.disparities.correlation)
     return MotionPosterior(
-        T_curr_prev=np.reshape(motions, (-1, 4, 4)), cov=np.reshape(covariances, (-1, 6, 6))
+        T_curr_prev=np.reshape(motions, (-1, 4, 4)),
+        cov=np.reshape(covariances, (-1, 6, 6)),
+        correlations=StepCorrelations.of(correlations),
     )
 
 
@@ -158,7 +166,7 @@ def feature_errors(
             # Features behind the camera have no information: their Σ⁻¹ is set to 0.
             is_in_front = solution.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
-            common = CommonUnknowns.of(solution, posterior.cov[step.index])
+            common = CommonUnknowns.of(step.estimate, posterior.cov[step.index])
             errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
@@ -231,9 +239,12 @@ def solved_steps(
                         estimator.estimate(tracks, noise, disparities, guess=guess)
                     )
                 elif not given.cov[index, 0, 0] > UNKNOWN_VARIANCE_M2:
-                    T_curr_prev = given.T_curr_prev[index]
                     estimate = estimator.evaluate(
-                        tracks, noise, disparities, T_curr_prev=T_curr_prev
+                        tracks,
+                        noise,
+                        disparities,
+                        T_curr_prev=given.T_curr_prev[index],
+                        cov=given.cov[index],
                     )
             disparities = DisparityFilter.none() if estimate is None else estimate.disparities
 

@@ -24,7 +24,11 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.student_t import StudentT
-from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
+from probevo.training.gk.error_samples import (
+    ErrorSamples,
+    FeatureLikelihoods,
+    gather_error_samples,
+)
 from probevo.training.gk.jitter import initial_covariance, learned_covariance
 from probevo.training.gk.time_correlation import TimeCorrelationProfile, smallest_likely_ratio
 from probevo.training.settings import TrainSettings
@@ -46,8 +50,8 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     """Learn the one Student-t, with its full scale matrix, under which the drives are likeliest.
 
     The time correlation is learned in a second half of the iterations, and kept only if it makes
-    the residuals likelier by a margin: where noise differs from place to place, a model that is
-    the same everywhere may mistake this for time correlation.
+    the residuals of the same features likelier by a margin: where noise differs from place to
+    place, a model that is the same everywhere may mistake this for time correlation.
     """
     settings = context.settings.gk
     model = StudentT(
@@ -58,7 +62,9 @@ def learn_student_t(context: TrainingContext) -> StudentT:
         jitter_cov=_initial_jitter(context.settings),
     )
     uncorrelated = model
-    for number in range(num_static_iterations(context.settings)):
+    without: FeatureLikelihoods | None = None
+    last = num_static_iterations(context.settings) - 1
+    for number in range(last + 1):
         # From here on with time correlation: keep the model without it for the comparison.
         if number == STATIC_ITERATIONS:
             uncorrelated = model
@@ -69,6 +75,10 @@ def learn_student_t(context: TrainingContext) -> StudentT:
         else:
             # E-step: motions given the noise, and the errors of the features at these motions.
             samples = gather_error_samples(context, model, context.progress.within_iteration)
+            # The likelihoods are those of the model before the M-step: the first iteration with
+            # time correlation evaluates the last model without.
+            if number == STATIC_ITERATIONS:
+                without = samples.likelihoods
             # M-step: the Student-t of these errors, whose uncertainty is their spread.
             model.fit(samples.phi, samples.errors, error_cov=samples.spread)
             model.jitter_cov = updated_jitter(model.jitter_cov, samples)
@@ -76,7 +86,14 @@ def learn_student_t(context: TrainingContext) -> StudentT:
                 model.time_correlation_ratio = updated_time_correlation(
                     model.time_correlation_ratio, samples
                 )
-            model.training = {"iterations": [*model.training["iterations"], samples.progress]}
+            iterations = [*model.training["iterations"], samples.progress]
+            training: dict[str, Any] = {"iterations": iterations}
+            if settings.learns_time_correlation and number == last:
+                if without is None:
+                    # That iteration was done before the training was stopped and resumed.
+                    without = gather_error_samples(context, uncorrelated, _unreported).likelihoods
+                training["time_correlation_gain"] = samples.likelihoods.gain_over(without)
+            model.training = training
             context.checkpoint.keep_em_model(number, model)
         context.progress.iteration_done()
 
@@ -84,12 +101,8 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     iterations = model.training["iterations"]
     kept: dict[str, Any] = {"kept_iteration": len(iterations)}
     if settings.learns_time_correlation:
-        likelihood = iterations[-1]["log_likelihood"]
-        # That of an iteration is of the model before it: the first with time correlation has
-        # evaluated the last without.
-        likelihood_without = iterations[STATIC_ITERATIONS]["log_likelihood"]
-        kept["time_correlation_gain"] = likelihood - likelihood_without
-        if likelihood < likelihood_without + TIME_CORRELATION_GAIN:
+        kept["time_correlation_gain"] = model.training["time_correlation_gain"]
+        if kept["time_correlation_gain"] < TIME_CORRELATION_GAIN:
             model = uncorrelated
             iterations = iterations[: STATIC_ITERATIONS + 1]
             kept["kept_iteration"] = STATIC_ITERATIONS
@@ -160,12 +173,16 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
         context.progress.iteration_done()
 
     # One more E-step measures how well the last model explains the residuals.
-    last = gather_error_samples(context, model, lambda share: None).progress
+    last = gather_error_samples(context, model, _unreported).progress
     model.camera = context.drives[0].camera
     iterations = [*training["iterations"], last]
     facts = training_facts(context, iterations, searches=training["searches"])
     model.training = facts | {"kept_iteration": len(iterations) - 1}
     return model
+
+
+def _unreported(share: float) -> None:
+    """Report no progress: an E-step beside the iterations."""
 
 
 def updated_time_correlation(previous: float, samples: ErrorSamples) -> float:

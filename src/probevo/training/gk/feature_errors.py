@@ -69,7 +69,8 @@ def errors_of(
     Args:
         solution: the motion, given or solved for.
         noise: the noise of its N features.
-        common: the motion and what else all features have in common, with its covariance.
+        common: the motion and what else all features have in common, whose mean is subtracted from
+            the errors, but not from the residuals that the likelihoods are of.
         chosen: which features are wanted, [m].
 
     Returns:
@@ -91,7 +92,7 @@ def errors_of(
     )
     # Whitened by Σ, and coloured by R if the noise is that of single observations. EM is then an
     # iteration to a fixed point: where R is right, R^½ Σ^-½ e has the scale R.
-    rescale_errors(features, common.cov, noise.refers_to == "observation", out)
+    rescale_errors(features, common.mean, common.cov, noise.refers_to == "observation", out)
     # The likelihood is that of the residual, not of the rescaled error.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])
     return out.errors + noise.bias[chosen], out.spread, log_likelihood

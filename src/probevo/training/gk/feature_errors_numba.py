@@ -40,11 +40,22 @@ class ErrorArrays(NamedTuple):
 
 @compiled
 def rescale_errors(
-    features: ResidualArrays, cov: FloatArray, is_of_observation: bool, out: ErrorArrays
+    features: ResidualArrays,
+    mean: FloatArray,
+    cov: FloatArray,
+    is_of_observation: bool,
+    out: ErrorArrays,
 ) -> None:
-    """Fill in the errors of all features, cov [K, K] being the covariance of what they share.
+    """Fill in the errors of all features, of which the effect of what they share is subtracted.
 
     Where Σ⁻¹ is singular, Σ is taken to be R. A singular scale is made regular.
+
+    Args:
+        features: the residuals.
+        mean: of what all features share, [K].
+        cov: of the same, [K, K].
+        is_of_observation: whether the noise is that of observations, not of residuals.
+        out: filled in.
     """
     information = features.information
     residuals = features.residuals
@@ -96,6 +107,8 @@ def rescale_errors(
                 else:
                     back[i, k] = jacobian[n, i, k - 1]
             errors[n, i] = back[i, 0]
+            for k in range(num_common):
+                errors[n, i] -= back[i, 1 + k] * mean[k]
             # Row i of the spread, J cov Jᵀ, up to its diagonal: rows before have been coloured.
             for k in range(num_common):
                 times_cov[i, k] = 0.0

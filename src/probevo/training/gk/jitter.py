@@ -17,39 +17,48 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.rig_jitter import LEAST_SIGMA_RAD, RigJitter
-from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter
+from probevo.estimation.reprojection import SolvedJitter
+from probevo.estimation.two_frame import TwoFrameEstimate
 
 MOTION_DIM = 6
 
 
 class CommonUnknowns(NamedTuple):
-    """The unknowns that are common to all features of a step: the motion, and the rig's jitter."""
+    """The unknowns that are common to all features of a step: the motion, the rig's jitter, and the
+    common-mode errors of the disparities."""
 
     jacobian: FloatArray
-    """Derivative of the prediction by (ξ, η), [N, 4, 12], or by ξ alone, [N, 4, 6]."""
+    """Derivative of the prediction by (ξ, η, c), [N, 4, K]; K is 6 for ξ, and 6 more for each of η
+    and c, if the noise has a jitter and a time-correlated error."""
+    mean: FloatArray
+    """Their mean beside the solution, [K]: 0 but for c, and what it changes of η."""
     cov: FloatArray
-    """Their covariance, [12, 12] or [6, 6]."""
+    """Their covariance, [K, K]."""
 
     @staticmethod
-    def of(solution: ReprojectionSolution, motion_cov: FloatArray) -> CommonUnknowns:
-        """Build them from a solve at a given motion, and the covariance of that motion, [6, 6]."""
+    def of(estimate: TwoFrameEstimate, motion_cov: FloatArray) -> CommonUnknowns:
+        """Build them from an estimate at a given motion, and the covariance of that, [6, 6]."""
+        if estimate.common is not None:
+            return CommonUnknowns(*estimate.common)
+        solution = estimate.solution
         if solution.jitter is None:
-            return CommonUnknowns(solution.jacobian, motion_cov)
+            return CommonUnknowns(solution.jacobian, np.zeros(MOTION_DIM), motion_cov)
         # η = gain ξ + an independent rest. With G the gain, C the covariance of ξ and V that of the
         # rest, the joint covariance is [[C, C Gᵀ], [G C, V + G C Gᵀ]].
         gain, rest = _given_motion(solution.jitter)
         cross = gain @ motion_cov
         cov = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
-        return CommonUnknowns(solution.full_jacobian, cov)
+        return CommonUnknowns(solution.full_jacobian, np.zeros(len(cov)), cov)
 
     def second_moment(self, jitter: SolvedJitter) -> FloatArray:
         """Return E[(ω' − ω°)(ω' − ω°)ᵀ] of the jitter's change, [3, 3], rad²."""
         unknown = jitter.unknown
         # ω' − ω° = L' η' − (m + L° η°), so that E[Δ Δᵀ] is its mean squared plus its covariance.
         change = np.hstack([unknown.curr_root, -unknown.prev.root])
-        mean = change @ jitter.eta - unknown.prev.mean
+        of_jitter = slice(MOTION_DIM, MOTION_DIM + len(jitter.eta))
+        mean = change @ (jitter.eta + self.mean[of_jitter]) - unknown.prev.mean
         moment: FloatArray = np.outer(mean, mean)
-        return moment + change @ self.cov[MOTION_DIM:, MOTION_DIM:] @ change.T
+        return moment + change @ self.cov[of_jitter, of_jitter] @ change.T
 
 
 def learned_covariance(second_moments: FloatArray) -> FloatArray:

@@ -85,12 +85,18 @@ def gather_samples(
 def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
     """Return the fold of each of the K − 1 steps of a drive, given its number.
 
-    Folds are blocks of time, and no stretch of the supervision is divided between two.
+    Folds are blocks of time, and no stretch of the supervision is divided between two. With fewer
+    stretches than blocks, each is a block: of two stretches, the second begins half-way, where the
+    blocks of time have the same fold as at the start.
     """
     num_steps = len(sampler.drive.T_curr_prev)
     stretches = sampler.supervision.stretches
-    # A step belongs to the fold of the first step of its stretch.
     start = np.arange(num_steps)
+    if 1 < len(stretches) < BLOCKS_A_DRIVE:
+        # Steps before the first stretch belong to it, and those behind the last to that one.
+        last_begun = np.searchsorted(stretches[:, 0], start, side="right") - 1
+        return fold_of_step(np.maximum(last_begun, 0), len(stretches), number)
+    # A step belongs to the fold of the first step of its stretch.
     if len(stretches) > 1:
         stretch = sampler.supervision.stretch_of_step(num_steps)
         start = np.where(stretch >= 0, stretches[stretch, 0], start)
@@ -98,9 +104,13 @@ def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
 
 
 def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
-    """Return the fold of each of some steps of a drive, given its number: [n] to [n]."""
+    """Return the fold of each of some steps of a drive, given its number: [n] to [n].
+
+    Of fewer steps than blocks, each is a block.
+    """
+    block = step * BLOCKS_A_DRIVE // num_steps if num_steps > BLOCKS_A_DRIVE else step
     # The drive's number shifts the folds, so that the first blocks of all drives are not one fold.
-    fold: IntArray = (step * BLOCKS_A_DRIVE // num_steps + drive) % FOLDS
+    fold: IntArray = (block + drive) % FOLDS
     return fold
 
 

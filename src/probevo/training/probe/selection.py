@@ -189,7 +189,8 @@ def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) 
         used: which features to solve with, [n].
 
     Returns:
-        T_curr_prev of each step, [K − 1, 4, 4]; a step that cannot be solved keeps its motion.
+        T_curr_prev of each step, [K − 1, 4, 4]; a step with too few features, or whose features fix
+        no motion, keeps its own.
     """
     drive = sampler.drive
     motions = drive.T_curr_prev.copy()
@@ -206,7 +207,9 @@ def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) 
             base.scaled(beta[rows][chosen]),
             guess=drive.T_curr_prev[step],
         )
-        if solution.converged and np.isfinite(solution.cov).all():
+        # Converged or not: weights that keep a solve from converging are bad ones, and would seem
+        # harmless if the step kept the motion of equal weights.
+        if np.isfinite(solution.cov).all():
             motions[step] = solution.T_curr_prev
     return motions
 
