@@ -51,7 +51,7 @@ class DistortionEffect:
             cov=np.zeros((NUM_COEFFICIENTS, NUM_COEFFICIENTS)),
         )
 
-    def kept(self, frames: BoolArray | slice) -> DistortionEffect:
+    def kept(self, frames: BoolArray) -> DistortionEffect:
         """Return the effect on some of the frames."""
         return replace(self, sensitivity=self.sensitivity[frames], corrected=self.corrected[frames])
 

@@ -518,11 +518,11 @@ class WindowEstimator:
         # With inertial states, pose, velocity and biases of the frame are marginalised in one
         # block: the IMU's factor correlates them.
         of_imu = window.inertial
+        is_first = np.arange(len(window)) == 0
         marginalised = inertial.marginalize_first_frame(window, system.equations)
         if marginalised is not None:
             prior, of_imu = marginalised
         else:
-            is_first = np.arange(len(window)) == 0
             prior = without_poses(MarginalPrior(information, vector), is_first)
             if of_imu is not None:
                 of_imu = replace(of_imu, factors=of_imu.factors[1:])
@@ -533,20 +533,12 @@ class WindowEstimator:
         stays = ~is_old | is_alive
         kept = selected(observations, ~is_old[rows] | begins_anew)
         return replace(
-            window,
-            frames=window.frames[1:],
-            T_cam_world=window.T_cam_world[1:],
-            T_linear=window.T_linear[1:],
-            is_blind=window.is_blind[1:],
-            distortion=window.distortion.kept(slice(1, None)),
-            jitter=window.jitter[1:],
+            window.without_frames(is_first),
             prior=kept_positive(prior),
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
             observations=kept._replace(slot=kept.slot - 1),
-            cov=window.cov[POSE:, POSE:],
             inertial=of_imu,
-            marginalized=(*window.marginalized, window.pose(0)),
         )
 
     def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.window.equations import POSE, RIG
-from probevo.estimation.window.window import MarginalPrior, Window
+from probevo.estimation.window.window import MarginalPrior, Window, is_of_poses
 
 LEAST_SHARE = 1e-14
 """Least information about the place of a window, over that about the motions within it: less is a
@@ -114,7 +114,7 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
 
 def without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
     """Marginalise the poses of some frames, [K]: the Schur complement of their block."""
-    gone = _is_of_poses(leaving)
+    gone = is_of_poses(leaving)
     # With r what remains and g what goes: Λ' = Λ_rr − Λ_rg Λ_gg⁻¹ Λ_gr, η' = η_r − Λ_rg Λ_gg⁻¹ η_g.
     information = prior.information
     gain = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, ~gone)])
@@ -124,18 +124,12 @@ def without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
     )
 
 
-def _is_of_poses(frames: BoolArray) -> BoolArray:
-    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
-    return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
-
-
 def without_blind(window: Window, leaving: BoolArray) -> Window:
     """Marginalise blind frames, [K], which nothing but the prior connects with others."""
     if not leaving.any():
         return window
     # No observation is of a blind frame, so that only the prior has to be marginalised. The places
     # of later frames move up.
-    kept = ~_is_of_poses(leaving)
     num_before = np.cumsum(leaving)
     observations = window.observations
     imu = window.inertial
@@ -147,19 +141,8 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
         )
         imu = replace(imu, factors=factors)
     return replace(
-        window,
-        frames=window.frames[~leaving],
-        T_cam_world=window.T_cam_world[~leaving],
-        T_linear=window.T_linear[~leaving],
-        is_blind=window.is_blind[~leaving],
-        distortion=window.distortion.kept(~leaving),
-        jitter=window.jitter[~leaving],
+        window.without_frames(leaving),
         prior=kept_positive(without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
-        cov=window.cov[np.ix_(kept, kept)],
         inertial=imu,
-        marginalized=(
-            *window.marginalized,
-            *(window.pose(int(slot)) for slot in np.flatnonzero(leaving)),
-        ),
     )

@@ -7,7 +7,7 @@ of poses are absolute: they grow along the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -212,12 +212,40 @@ class Window:
         at = self.pose_slice(slot % len(self))
         return self.cov[at, at].copy()  # a view would keep the whole window's alive
 
+    def without_frames(self, leaving: BoolArray) -> Window:
+        """Return the window without the poses of some frames, [K], which it lists as marginalised.
+
+        Prior, landmarks, observations and IMU stay as they are: whoever calls this marginalises
+        them.
+        """
+        stays = ~leaving
+        kept = ~is_of_poses(leaving)
+        return replace(
+            self,
+            frames=self.frames[stays],
+            T_cam_world=self.T_cam_world[stays],
+            T_linear=self.T_linear[stays],
+            is_blind=self.is_blind[stays],
+            distortion=self.distortion.kept(stays),
+            jitter=self.jitter[stays],
+            cov=self.cov[np.ix_(kept, kept)],
+            marginalized=(
+                *self.marginalized,
+                *(self.pose(int(slot)) for slot in np.flatnonzero(leaving)),
+            ),
+        )
+
     def offsets(self) -> FloatArray:
         """Return x of the prior: offsets of the poses, and the rig, [6K + 4]."""
         x = np.empty(POSE * len(self) + RIG)
         x[:-RIG] = se3.log(self.T_cam_world @ se3.inverse(self.T_linear)).ravel()
         x[-RIG:] = self.rig
         return x
+
+
+def is_of_poses(frames: BoolArray) -> BoolArray:
+    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
+    return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
 
 
 def selected(observations: WindowObservations, keep: BoolArray) -> WindowObservations:
