@@ -1,10 +1,13 @@
 """Swapped left and right images are recognized by their negative disparities."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from probevo import StereoOdometry, estimate_motion
+from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import (
     FEWEST_MATCHES,
     SwappedImagesError,
@@ -13,6 +16,7 @@ from probevo.tracking.left_right import (
     looks_swapped,
 )
 from probevo.tracking.tracks import Tracks
+from worlds import CAMERA, drive, seen_twice
 
 
 def test_matches_are_counted_with_those_that_the_tracker_rejected() -> None:
@@ -64,3 +68,30 @@ def test_a_swapped_recording_is_refused_with_the_cure(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").touch()  # a folder of ROS 2
     with pytest.raises(SwappedImagesError, match="Exchange --topics"):
         check_left_right(3, 97, tmp_path)
+
+
+SWAPPED = [2, 3, 0, 1]
+"""Columns of (u_l, v_l, u_r, v_r) with left and right exchanged."""
+
+
+def test_matches_from_python_whose_sides_are_swapped_are_refused() -> None:
+    """Their points would lie behind the camera, and agree on a motion backwards."""
+    tracks = seen_twice(np.random.default_rng(0), 80, sigma_px=0.2)
+    noise = 0.2**2 * np.eye(4)
+    assert estimate_motion(tracks.prev_px, tracks.curr_px, noise, CAMERA).num_inliers > 60
+    with pytest.raises(SwappedImagesError, match="Exchange columns"):
+        estimate_motion(tracks.prev_px[:, SWAPPED], tracks.curr_px[:, SWAPPED], noise, CAMERA)
+
+
+def test_features_from_python_whose_sides_are_swapped_are_refused() -> None:
+    def swapped(frame: Frame) -> Frame:
+        assert frame.features is not None
+        pixels = frame.features.pixels[:, SWAPPED]
+        return replace(frame, features=replace(frame.features, pixels=pixels))
+
+    odometry = StereoOdometry(CAMERA)
+    *first, last = [swapped(frame) for frame in drive(np.random.default_rng(0), 5)]
+    for frame in first:
+        odometry.step(frame)
+    with pytest.raises(SwappedImagesError, match="features of frame 4"):
+        odometry.step(last)

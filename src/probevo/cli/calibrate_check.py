@@ -229,14 +229,14 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
     from probevo.evaluation.ground_height import GroundHeights
     from probevo.geometry import se3, so3
     from probevo.odometry import StereoOdometry
-    from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+    from probevo.tracking.left_right import LeftRightCheck
 
     odometry = StereoOdometry(sequence.camera, config={"estimator": "two-frame"})
     camera = sequence.camera
     heights = GroundHeights(camera)
     motions = []
     solved = []
-    matches = np.zeros(2, int)
+    left_right = LeftRightCheck(sequence.path, max_frames or len(sequence))
     steps: list[_Step] = []
     prev_ns = 0
     for frame in islice(sequence, max_frames):
@@ -244,11 +244,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         motions.append(motion.T_curr_prev)
         solved.append(motion.status is Status.OK)
         tracks = odometry.tracks
-        if len(motions) <= FRAMES_TO_SEE + 1:
-            matches += count_matches(tracks)
-            if len(motions) == FRAMES_TO_SEE + 1:
-                num_positive, num_negative = matches.tolist()
-                check_left_right(num_positive, num_negative, sequence.path)
+        left_right.see(tracks)
         is_used = odometry.used
         heights.add(
             frame.stamp_ns,

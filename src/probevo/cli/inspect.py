@@ -216,6 +216,7 @@ def _view_of_frame(
     from probevo.cli.progress import progress_bar
     from probevo.odometry import StereoOdometry
     from probevo.output.inspection.subject import FrameView
+    from probevo.tracking.left_right import LeftRightCheck
 
     cv2.setNumThreads(1)
     odometry = StereoOdometry(
@@ -225,9 +226,11 @@ def _view_of_frame(
     farthest_px = np.zeros(2)
     left = None
     name = sequence.path.resolve().name
+    left_right = LeftRightCheck(sequence.path, index + 1)
     with progress_bar(f"{name} up to frame {index}", getting_ready()) as show:
         for frame in islice(sequence, index + 1):
             odometry.step(frame)
+            left_right.see(odometry.tracks)
             seen_px = odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0)
             farthest_px = np.maximum(farthest_px, seen_px)
             left = frame.left

@@ -25,6 +25,7 @@ from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
 from probevo.python_arguments import as_array, as_camera, as_noise
+from probevo.tracking.left_right import SWAP_COLUMNS, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
 
 MIN_MATCHES = 3
@@ -66,9 +67,9 @@ def estimate_motion(
         degenerate.
 
     Raises:
-        InputError: an array has a wrong shape or is not finite, a covariance is not positive
-            definite, the guess is no rigid motion, the noise depends on predictors, or the camera
-            is impossible.
+        InputError: an array has a wrong shape or is not finite, left and right are swapped, a
+            covariance is not positive definite, the guess is no rigid motion, the noise depends on
+            predictors, or the camera is impossible.
     """
     camera = as_camera(camera)
     prev = as_array(prev_px, "prev_px", (None, 4))
@@ -79,6 +80,7 @@ def estimate_motion(
         start = se3.check_transform(as_array(guess, "guess", (4, 4)), "guess")
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
+    check_left_right(*count_matches(tracks), "curr_px", cure=SWAP_COLUMNS)
     if len(tracks) < MIN_MATCHES:
         return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
 

@@ -24,6 +24,7 @@ from probevo.odometry import StereoOdometry
 from probevo.sequences import Sequence
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.masked import mask_of_array
+from probevo.tracking.left_right import LeftRightCheck
 
 SQUARES = 12
 """Squares of the checkerboard along the width of an image: on KITTI they are 100 px wide, ten times
@@ -99,9 +100,11 @@ def compare_halves(
     other = StereoOdometry(sequence.camera, noise, config=config)
     squared: dict[int, list[float]] = {1: [], SPAN: []}
     num_solved = 0
+    left_right = LeftRightCheck(sequence.path, total)
     for done, frame in enumerate(islice(sequence, total)):
         first, second = halves_of(frame)
         of_one = one.step(first)
+        left_right.see(one.tracks)
         of_other = other.step(second)
         if on_progress is not None:
             on_progress(done + 1, total)

@@ -52,12 +52,7 @@ from probevo.sequences.base import first_frames
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
-from probevo.tracking.left_right import (
-    FRAMES_TO_SEE,
-    SwappedImagesError,
-    check_left_right,
-    count_matches,
-)
+from probevo.tracking.left_right import LeftRightCheck, SwappedImagesError
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
 
@@ -174,7 +169,7 @@ def _run(
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config, sensors=sensors)
     records = _Records.of_run(sequence, config, num_frames)
-    num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
+    left_right = LeftRightCheck(sequence.path, num_frames)
     try:
         for frame in prepare_ahead(first_frames(sequence, num_frames), config.tracking):
             start = perf_counter()
@@ -184,10 +179,7 @@ def _run(
             if viewer is not None:
                 viewer.add(frame, odometry)
 
-            # Swapped images have mostly negative disparities; a few frames are enough to see it.
-            num_matches += count_matches(odometry.tracks)
-            if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
-                check_left_right(int(num_matches[0]), int(num_matches[1]), sequence.path)
+            left_right.see(odometry.tracks)
             if on_step is not None:
                 on_step(motion)
     except SwappedImagesError:

@@ -6,6 +6,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.sequences.frame import Frame
+from probevo.tracking.left_right import (
+    FRAMES_TO_SEE,
+    SWAP_COLUMNS,
+    check_left_right,
+    count_matches,
+)
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
@@ -22,6 +28,7 @@ class FeatureMatcher:
             T_curr_prev: not used.
 
         Raises:
+            InputError: left and right of the first frames are swapped.
             ValueError: the frame has no features.
         """
         if frame.features is None:
@@ -43,6 +50,11 @@ class FeatureMatcher:
             age=age[curr_rows],
             rejected={"not finite": int((~is_finite).sum())},
         )
+        # Whoever reads a recording has found out before, and names its file. Later frames may show
+        # nothing but points far away, whose disparities are noise.
+        if frame.index == FRAMES_TO_SEE + 1:
+            where = f"features of frame {frame.index}"
+            check_left_right(*count_matches(tracks), where, cure=SWAP_COLUMNS)
         # All features of this frame, matched or not: the next frame may have them again.
         alive = TrackingState(
             ids=ids,

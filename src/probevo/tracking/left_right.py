@@ -20,6 +20,9 @@ MOST_BEHIND = 0.8
 It is over 0.9 for swapped recordings of KITTI and EuRoC, under 0.01 for correct ones, and one half
 where everything is too far away for a decision."""
 
+SWAP_COLUMNS = "Exchange columns 0 and 2, and 1 and 3."
+"""The cure for features, (u_l, v_l, u_r, v_r)."""
+
 
 class SwappedImagesError(InputError):
     """The left images come from the right camera, which makes every result wrong."""
@@ -43,13 +46,45 @@ def looks_swapped(num_positive: int, num_negative: int) -> bool:
     return num_matches >= FEWEST_MATCHES and num_negative > MOST_BEHIND * num_matches
 
 
-def check_left_right(num_positive: int, num_negative: int, where: str | Path) -> None:
-    """Refuse a recording whose left images come from the right camera.
+class LeftRightCheck:
+    """Refuses a recording whose left images come from the right camera, by its first steps.
+
+    Args:
+        recording: its path, for the message.
+        num_frames: of it; a short one is judged by its last frame.
+    """
+
+    def __init__(self, recording: str | Path, num_frames: int) -> None:
+        self._recording = recording
+        self._decides_at = min(FRAMES_TO_SEE, num_frames - 1)
+        self._num_positive = 0
+        self._num_negative = 0
+        self._num_seen = 0
+
+    def see(self, tracks: Tracks) -> None:
+        """Count the matches of one more frame, the first one included.
+
+        Raises:
+            SwappedImagesError: nearly all matches so far have negative disparity.
+        """
+        num_positive, num_negative = count_matches(tracks)
+        self._num_positive += num_positive
+        self._num_negative += num_negative
+        if self._num_seen == self._decides_at:
+            check_left_right(self._num_positive, self._num_negative, self._recording)
+        self._num_seen += 1
+
+
+def check_left_right(
+    num_positive: int, num_negative: int, where: str | Path, *, cure: str | None = None
+) -> None:
+    """Refuse matches of left images that come from the right camera.
 
     Args:
         num_positive: number of stereo matches with positive disparity.
         num_negative: number of those with negative disparity, as of points behind the camera.
         where: the recording, for the message.
+        cure: how to exchange them; by default what applies to a recording of that name.
 
     Raises:
         SwappedImagesError: nearly all matches have negative disparity.
@@ -59,7 +94,7 @@ def check_left_right(num_positive: int, num_negative: int, where: str | Path) ->
             where,
             f"{num_negative} of the first {num_positive + num_negative} stereo matches have"
             " negative disparity.",
-            f"Are left and right swapped? {how_to_swap(where)}",
+            f"Are left and right swapped? {cure or how_to_swap(where)}",
         )
 
 
@@ -68,7 +103,7 @@ def how_to_swap(recording: str | Path) -> str:
     path = Path(recording)
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        return "Exchange columns 0 and 2, and 1 and 3, of uv."
+        return f"{SWAP_COLUMNS[:-1]}, of uv."
     if suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file():
         return "Exchange --topics.left and --topics.right."
     if path.is_file():

@@ -21,7 +21,7 @@ from probevo.odometry import StereoOdometry
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence, first_frames
 from probevo.sequences.frame import Frame
-from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+from probevo.tracking.left_right import LeftRightCheck
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 from probevo.training.sources import calibration
@@ -66,7 +66,7 @@ class Extraction:
             predictors=space,
         )
         self._digest = hashlib.sha256(json.dumps(calibration(sequence)).encode())
-        self._matches = np.zeros(2, np.int64)
+        self._left_right = LeftRightCheck(sequence.path, num_frames)
 
     @property
     def digest(self) -> str:
@@ -111,10 +111,7 @@ class Extraction:
         odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
 
-        # Swapped cameras show after some frames.
-        self._matches += count_matches(odometry.tracks)
-        if frame.index == min(FRAMES_TO_SEE, self.num_frames - 1):
-            check_left_right(int(self._matches[0]), int(self._matches[1]), self.sequence.path)
+        self._left_right.see(odometry.tracks)
         if self.on_frame is not None:
             self.on_frame(frame.index + 1)
         if frame.index == 0:

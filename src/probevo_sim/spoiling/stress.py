@@ -32,6 +32,7 @@ from probevo.output.run_result import RunRecorder, RunResult
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.storage.files import write_atomically
+from probevo.tracking.left_right import LeftRightCheck
 from probevo.tracking.preparation import prepare_ahead
 from probevo_sim.spoiling.config import SpoilConfig, StressConfig, StressPreset
 from probevo_sim.spoiling.recording import SpoiledRecording
@@ -359,8 +360,10 @@ def _run(
         sequence.camera, noise_model(config.noise), sequence.imu, config=config
     )
     recorder = RunRecorder()
+    left_right = LeftRightCheck(sequence.path, count)
     for number, frame in enumerate(_prepared(sequence, count, config)):
         recorder.add(frame.stamp_ns, odometry.step(frame))
+        left_right.see(odometry.tracks)
         if look is not None and look.number == number and frame.left is not None:
             look.take(frame.left, odometry)
         on_one()
