@@ -51,7 +51,7 @@ class LeftRightCheck:
 
     Args:
         recording: its path, for the message.
-        num_frames: of it; a short one is judged by its last frame.
+        num_frames: of it; of a short one, all frames are counted.
     """
 
     def __init__(self, recording: str | Path, num_frames: int) -> None:
