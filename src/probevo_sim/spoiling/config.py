@@ -128,7 +128,7 @@ class StressConfig(Settings):
     severities: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
         (0.25, 0.5, 0.75, 1.0),
         min_length=1,
-        description="How much of it; the severity of frames is the share of its bursts.",
+        description="How strong it is; of `frames`, how large a share of the bursts is lost.",
     )
     repeats: int = Field(
         1, ge=1, le=1000, description="Runs of each preset and severity, with other seeds."
