@@ -53,7 +53,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
-        "IMU": imu_warning(result.imu_left_out),
+        "IMU": imu_warning(result.imu_left_out, result.imu_unused_from),
         "Truth": truth_warning(result.T_curr_prev, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -117,11 +117,13 @@ def camera_warning(difference: str | None) -> str | None:
     )
 
 
-def imu_warning(reason: str | None) -> str | None:
-    """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
+def imu_warning(reason: str | None, unused_from: int | None = None) -> str | None:
+    """Warn if the window left out the IMU at the end of the run, for a reason, or from a frame on;
+    else None."""
     if not reason:
         return None
-    text = f"The IMU {reason}. The path is by images alone."
+    since = "The" if unused_from is None else f"From frame {unused_from} on, the"
+    text = f"The IMU {reason}. {since} path is by images alone."
     if reason.startswith("has "):  # what its samples are like, which no calibration mends
         return text
     return (
