@@ -60,6 +60,33 @@ def test_the_truth_of_another_recording_is_warned_of() -> None:
     assert truth_warning(steps, None) is None
 
 
+def _turning(turn_rad: float) -> FloatArray:
+    """Return motions T_curr_prev of a drive whose steps turn by a random angle of this σ each,
+    [29, 4, 4]."""
+    rng = np.random.default_rng(1)
+    steps = relative_motions(_winding(rng, 1.0))
+    turns = np.zeros((29, 6))
+    turns[:, 4] = turn_rad * rng.normal(size=29)
+    return se3.exp(turns) @ steps
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.1])
+def test_inverse_poses_of_the_truth_are_named(turn_rad: float) -> None:
+    """On a straight road, which they seem to drive backwards, and on a winding one."""
+    steps = _turning(turn_rad)
+    said = truth_warning(steps, se3.inverse(se3.chain_motions(steps)))
+    assert said is not None
+    assert "is the truth T_cam_world" in said
+
+
+def test_a_truth_whose_axes_point_backwards_does_not_fit() -> None:
+    steps = _turning(0.1)
+    about_y = np.diag([-1.0, 1.0, -1.0, 1.0])
+    said = truth_warning(steps, about_y @ se3.chain_motions(steps) @ about_y)
+    assert said is not None
+    assert "Is it the truth of this recording" in said
+
+
 def _scale_said(true_m: FloatArray, steps_m: FloatArray) -> str | None:
     """Return the warning of a run with steps along the optical axis, [N], m, beside true
     positions, [N, 3], m."""
