@@ -38,6 +38,26 @@ def test_the_covariance_is_that_of_the_errors(common: float) -> None:
     assert low < total / trials < 1.15 * high
 
 
+def test_the_variances_are_those_of_errors_that_features_keep() -> None:
+    """Each is seen in up to twelve of 24 frames. By frames alone, the squared errors of 100
+    estimates are five times their variances in the mean."""
+    rng = np.random.default_rng(3)
+    frame = np.repeat(np.arange(24), 24)
+    track = (2 * np.arange(24)[:, None] + np.arange(24)).ravel()
+    squared = []
+    for _ in range(100):
+        of_track = rng.normal(size=track.max() + 1)
+        design = np.column_stack([np.ones(len(frame)), of_track[track]])
+        noise = 0.2 * rng.normal(size=len(frame)) + 0.2 * rng.normal(size=track.max() + 1)[track]
+        kept = regress(design, design @ TRUE + noise, frame, prior_sigma=WEAK, track=track)
+        lost = regress(design, design @ TRUE + noise, frame, prior_sigma=WEAK)
+        assert (kept.sigma >= lost.sigma).all()
+        squared.append(((kept.values - TRUE) / [kept.sigma, lost.sigma]) ** 2)
+    by_track, by_frame = np.mean(squared, axis=(0, 2))
+    assert by_track < 1.5
+    assert by_frame > 4.0
+
+
 def test_outliers_hardly_count() -> None:
     rng = np.random.default_rng(1)
     design, target, frame = sample(rng, 60, 8, 0.0)

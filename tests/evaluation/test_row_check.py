@@ -17,15 +17,18 @@ def drive(delay_s: float, rows_px: np.ndarray, frames: int = 60) -> list[RowSamp
     """A car that nods: each frame pitches by some milliradians."""
     rng = np.random.default_rng(0)
     samples = []
-    for _ in range(frames):
+    for frame in range(frames):
         rate_rad_s = np.array([0.04, 0.03, 0.0]) * rng.normal(size=3)
         true_px = random_pixels(rng, 100)
-        perfect = RowSamples.of(true_px, true_px, rate_rad_s, CAMERA)
+        ids = np.arange(100) + 100 * frame
+        perfect = RowSamples.of(true_px, true_px, ids, rate_rad_s=rate_rad_s, camera=CAMERA)
         raw_px = perfect.pixels + 0.2 * rng.normal(size=perfect.pixels.shape)
         raw_px[:, 3] += row_basis(perfect.pixels, CAMERA) @ rows_px
         raw_px[:, 3] += delay_s * perfect.row_speed_px_s
         # The odometry corrects its tracks only by what it knows; here, by nothing.
-        samples.append(RowSamples.of(raw_px, raw_px, rate_rad_s, CAMERA))
+        samples.append(
+            RowSamples.of(raw_px, raw_px, perfect.ids, rate_rad_s=rate_rad_s, camera=CAMERA)
+        )
     return samples
 
 
@@ -35,7 +38,7 @@ def test_rows_move_as_the_points_do() -> None:
     pixels = random_pixels(np.random.default_rng(1), 50)
     turn = np.r_[np.zeros(3), 1e-4 * rate_rad_s]
     after = CAMERA.project(se3.transform(se3.exp(turn), CAMERA.triangulate(pixels)))
-    samples = RowSamples.of(pixels, pixels, rate_rad_s, CAMERA)
+    samples = RowSamples.of(pixels, pixels, np.arange(50), rate_rad_s=rate_rad_s, camera=CAMERA)
     expected = (after - pixels)[:, 1] / 1e-4
     np.testing.assert_allclose(samples.row_speed_px_s, expected, rtol=2e-3, atol=0.05)
 

@@ -29,7 +29,12 @@ def test_a_run_comes_back_as_it_was(
             run, right_delay_s=-0.0015, imu_noise_factor=2.5, stopped="stopped by Ctrl-C."
         )
         run = replace(run, accelerometer_scale=AccelerometerScale(1.02, 0.01, 17))
-        run = replace(run, other_camera="is wider", imu_left_out="it contradicts the images")
+        run = replace(
+            run,
+            other_camera="is wider",
+            imu_left_out="it contradicts the images",
+            imu_unused_from=7,
+        )
         lying = SensorUse(4, 1, {"no fix": 2}, excluded=3, excluded_at=20, reason="is off by 5 σ")
         run = replace(run, sensors={"gps": lying, "the sun": SensorUse(used=29)})
         run = replace(run, T_world_cam=run.T_world_cam + 1e-3)

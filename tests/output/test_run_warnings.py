@@ -60,6 +60,33 @@ def test_the_truth_of_another_recording_is_warned_of() -> None:
     assert truth_warning(steps, None) is None
 
 
+def _turning(turn_rad: float) -> FloatArray:
+    """Return motions T_curr_prev of a drive whose steps turn by a random angle of this σ each,
+    [29, 4, 4]."""
+    rng = np.random.default_rng(1)
+    steps = relative_motions(_winding(rng, 1.0))
+    turns = np.zeros((29, 6))
+    turns[:, 4] = turn_rad * rng.normal(size=29)
+    return se3.exp(turns) @ steps
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.1])
+def test_inverse_poses_of_the_truth_are_named(turn_rad: float) -> None:
+    """On a straight road, which they seem to drive backwards, and on a winding one."""
+    steps = _turning(turn_rad)
+    said = truth_warning(steps, se3.inverse(se3.chain_motions(steps)))
+    assert said is not None
+    assert "is the truth T_cam_world" in said
+
+
+def test_a_truth_whose_axes_point_backwards_does_not_fit() -> None:
+    steps = _turning(0.1)
+    about_y = np.diag([-1.0, 1.0, -1.0, 1.0])
+    said = truth_warning(steps, about_y @ se3.chain_motions(steps) @ about_y)
+    assert said is not None
+    assert "Is it the truth of this recording" in said
+
+
 def _scale_said(true_m: FloatArray, steps_m: FloatArray) -> str | None:
     """Return the warning of a run with steps along the optical axis, [N], m, beside true
     positions, [N, 3], m."""
@@ -147,6 +174,39 @@ def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:
     said = imu_warning("contradicts the images")
     assert said is not None
     assert said.startswith("The IMU contradicts the images.")
+
+
+def _imu_said(reasons: list[str], first_used: int | None = None) -> str:
+    """Return the warning of a run whose steps said why the IMU was not used, where they did; from
+    one step on, it was in the window where they did not."""
+    recorder = RunRecorder()
+    for frame, reason in enumerate(["", *reasons]):
+        motion = pv.MotionEstimate(
+            np.eye(4), np.eye(6), Status.OK if frame else Status.FIRST, 0, imu_left_out=reason
+        )
+        is_used = first_used is not None and frame >= first_used and not reason
+        recorder.add(frame, motion, imu_is_in_window=is_used)
+    return run_warnings(recorder.result()).get("IMU", "")
+
+
+def test_the_reason_of_most_steps_is_named() -> None:
+    """Whatever the numbers in it, and whatever the last step said."""
+    wrong_clock = [f"contradicts the images: χ² is {k}.5 for 34 degrees" for k in range(20)]
+    wrong_clock[3] += " (noise densities at least 2.1 times as large would explain it)"
+    said = _imu_said(["", "", *wrong_clock, *["has no samples"] * 3])
+    assert said.startswith(f"The IMU {wrong_clock[-1]}. The path is by images alone.")
+    assert "calibrate-check" in said
+    for_good = f"is left out for good: it {wrong_clock[-1]}"
+    assert _imu_said([*wrong_clock, "has no samples", for_good]).startswith(f"The IMU {for_good}")
+
+
+def test_an_imu_that_ends_is_said_to_be_unused_from_then_on() -> None:
+    gated = "contradicts the images in this step (χ² 30 of 6 degrees of freedom)"
+    reasons = ["", "", *[gated] * 5, "", *["has no samples"] * 3]
+    said = _imu_said(reasons, first_used=3)
+    assert said == "The IMU has no samples. From frame 9 on, the path is by images alone."
+    assert _imu_said([*reasons, ""], first_used=3) == ""
+    assert _imu_said([""] * 4) == ""
 
 
 def test_images_of_other_frames_are_named_with_the_cure() -> None:

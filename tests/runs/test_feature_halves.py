@@ -1,5 +1,6 @@
 """Two halves of the features: that they are halves, and what is said where claims are wrong."""
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +55,28 @@ def test_claims_of_a_window_that_are_too_small_by_three_are_found_out() -> None:
     assert verdict(step).startswith("! Over 1 frame: σ is claimed 2.")
     assert step.share_inside(0.99) < 0.5
     assert span.mean > 4.0 * agreements(0.2, "window")[1].mean
+
+
+def test_the_scatter_of_a_wrong_claim_does_not_excuse_it() -> None:
+    """Errors that are three times too large over eight frames: of 27 motions, which overlap, hardly
+    three are independent, and their own scatter exceeds what is tested."""
+    rng = np.random.default_rng(4)
+    wrong = Agreement(SPAN, 7.3 * rng.chisquare(2.0, size=27) * 3.0)
+    assert wrong.mean < 1.0 + 3.0 * wrong.standard_error
+    assert verdict(wrong).startswith("! Over 8 frames: σ is claimed 3.16 times too small")
+
+
+def test_of_right_claims_few_motions_say_nothing_and_many_say_that_they_hold() -> None:
+    rng = np.random.default_rng(5)
+    said = Counter(
+        verdict(Agreement(1, rng.chisquare(6.0, size=count))) for count in [11] * 500 + [100] * 500
+    )
+    few = [text for text in said if "too few motions to tell" in text]
+    assert sum(said[text] for text in few) > 490
+    assert said["Over 1 frame: the claim holds."] > 490
+    # Of a claim that holds, the standard error that is expected is that of the scatter.
+    right = Agreement(1, rng.chisquare(6.0, size=10_000))
+    np.testing.assert_allclose(right.standard_error_if_true, right.standard_error, rtol=0.05)
 
 
 def test_two_frames_enlarge_a_claim_that_their_residuals_contradict() -> None:

@@ -255,9 +255,11 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         )
         if motion.status is Status.OK and odometry.rig is not None:
             used = tracks.curr_px[is_used]
-            raw = _as_matched(odometry, tracks.ids[is_used])
+            ids = tracks.ids[is_used]
+            raw = _as_matched(odometry, ids)
             rotation_rad = so3.log(motion.T_curr_prev[:3, :3])
-            steps.append(_Step(raw, used, rotation_rad, between_ns=(prev_ns, frame.stamp_ns)))
+            between_ns = (prev_ns, frame.stamp_ns)
+            steps.append(_Step(raw, used, ids, rotation_rad=rotation_rad, between_ns=between_ns))
         prev_ns = frame.stamp_ns
     rows = _row_samples(steps, camera)
     if len(motions) < FEWEST_FRAMES:
@@ -299,6 +301,8 @@ class _Step(NamedTuple):
     """Observations in its current frame as matched, [N, 4], px."""
     corrected_px: FloatArray
     """The same, corrected by the rig's calibration."""
+    ids: IntArray
+    """Identity of each feature, [N]."""
     rotation_rad: FloatArray
     """Log(C_curr_prev), [3], camera frame."""
     between_ns: tuple[int, int]
@@ -317,7 +321,11 @@ def _row_samples(steps: list[_Step], camera: StereoCamera) -> list[RowSamples]:
 
     return [
         RowSamples.of(
-            step.raw_px, step.corrected_px, 0.5 * (step.rate_rad_s + after.rate_rad_s), camera
+            step.raw_px,
+            step.corrected_px,
+            step.ids,
+            rate_rad_s=0.5 * (step.rate_rad_s + after.rate_rad_s),
+            camera=camera,
         )
         for step, after in pairwise(steps)
         if step.between_ns[1] == after.between_ns[0]

@@ -20,6 +20,8 @@ LEVELS = (0.5, 0.9, 0.99)
 """Regions whose coverage is printed."""
 SURE = 3.0
 """Standard errors from which on a mean differs from 1 by more than chance."""
+LARGEST_MARGIN = 0.5
+"""What chance may add to a mean, beyond which one that does not differ from 1 says nothing."""
 LIMITS = (
     "What both halves have in common does not show: a wrong baseline or focal length, what moves"
     " with the camera, an IMU, which is not used here."
@@ -96,7 +98,7 @@ def verdict(agreement: Agreement) -> str:
     """Say in words whether the claimed covariances hold."""
     span = _span(agreement)
     factor = agreement.mean**0.5
-    margin = SURE * agreement.standard_error
+    margin = SURE * agreement.standard_error_if_true
     if agreement.mean > 1.0 + margin:
         return (
             f"! Over {span}: σ is claimed {factor:.2f} times too small. Learn the noise from this"
@@ -106,6 +108,11 @@ def verdict(agreement: Agreement) -> str:
         return (
             f"Over {span}: the halves differ by {factor:.2f} of the σ that is claimed. The rest"
             " covers errors that both have in common, or is conservative."
+        )
+    if margin > LARGEST_MARGIN:
+        return (
+            f"Over {span}: too few motions to tell. If the claim holds, chance moves NEES / 6 by up"
+            f" to {margin:.1f}. Give a longer recording."
         )
     return f"Over {span}: the claim holds."
 

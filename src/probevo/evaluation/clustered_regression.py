@@ -3,7 +3,8 @@
 Estimates are those of a Student-t likelihood. Their covariance is the sandwich A⁻¹ B A⁻¹ (Huber
 1967), with B from the sums of the scores of each frame (Liang and Zeger 1986) and their
 autocovariances over a few frames (Newey and West 1987), so that it holds whatever the errors of a
-frame, and of its neighbours, have in common.
+frame, and of its neighbours, have in common. A feature may keep its error for longer than that:
+where the sums of the scores of each feature over all frames scatter more, these give the variance.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ def regress(
     frame: IntArray,
     *,
     prior_sigma: FloatArray,
+    track: IntArray | None = None,
 ) -> Regression:
     """Estimate β of target = design β + noise.
 
@@ -65,6 +67,8 @@ def regress(
         frame: the frame of each row, [N], ascending.
         prior_sigma: standard deviations of the Gaussian prior of β around zero, [P]. They keep
             coefficients that nothing constrains finite.
+        track: the feature of each row, [N], whose errors may be correlated for as long as it is
+            seen; None if there are none.
 
     Returns:
         The estimates. What the data do not constrain has the prior's standard deviation.
@@ -93,13 +97,16 @@ def regress(
     count = len(of_frames)
     # As many coefficients as were estimated are missing from the scatter of the scores.
     meat = _long_run_covariance(of_frames) * (count / max(count - len(beta), 1)) + prior
+    cov = bread @ meat @ bread.T
+    if track is not None:
+        cov = _at_least(cov, bread @ (_covariance_of_sums(scores, track) + prior) @ bread.T)
     # −ln of N Student-t densities of this scale, and of the Gaussian prior
     cost = (
         0.5 * (DOF + 1.0) * float(np.log1p(squared / DOF).sum())
         + len(target) * float(np.log(scale))
         + 0.5 * float(beta @ prior @ beta)
     )
-    return Regression(values=beta, cov=bread @ meat @ bread.T, num_frames=count, cost=cost)
+    return Regression(values=beta, cov=cov, num_frames=count, cost=cost)
 
 
 def _sums(scores: FloatArray, frame: IntArray) -> FloatArray:
@@ -107,6 +114,22 @@ def _sums(scores: FloatArray, frame: IntArray) -> FloatArray:
     # Rows of a frame are consecutive: a frame begins where the number changes.
     starts = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
     return np.asarray(np.add.reduceat(scores, starts, axis=0))
+
+
+def _covariance_of_sums(scores: FloatArray, group: IntArray) -> FloatArray:
+    """Return the covariance of the sum of scores, [N, P], that are correlated within groups, [N],
+    in any order: [P, P]."""
+    order = np.argsort(group, kind="stable")
+    of_groups = _sums(scores[order], group[order])
+    count = len(of_groups)
+    return np.asarray(of_groups.T @ of_groups * (count / max(count - scores.shape[1], 1)))
+
+
+def _at_least(cov: FloatArray, other: FloatArray) -> FloatArray:
+    """Return a covariance, [P, P], whose variances are raised to those of another one; correlations
+    stay."""
+    factor = np.sqrt(np.maximum(np.diag(other) / np.diag(cov), 1.0))
+    return np.asarray(cov * factor[:, None] * factor)
 
 
 def _long_run_covariance(of_frames: FloatArray) -> FloatArray:

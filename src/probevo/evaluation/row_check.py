@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rig_calibration import ROW_SIGMA_PX, row_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
@@ -40,16 +40,24 @@ class RowSamples:
     """(u_l, v_l, u_r, v_r) as matched, without any correction, [N, 4], px."""
     row_speed_px_s: FloatArray
     """Speed of each point's row in the left image by the camera's rotation, [N]."""
+    ids: IntArray
+    """Identity of each feature, the same in all frames that show it, [N]."""
 
     @staticmethod
     def of(
-        raw_px: FloatArray, corrected_px: FloatArray, rate_rad_s: FloatArray, camera: StereoCamera
+        raw_px: FloatArray,
+        corrected_px: FloatArray,
+        ids: IntArray,
+        *,
+        rate_rad_s: FloatArray,
+        camera: StereoCamera,
     ) -> RowSamples:
         """Predict the speeds from the camera's rotation.
 
         Args:
             raw_px: observations in a frame, [N, 4], px.
             corrected_px: the same, corrected by the rig's calibration, [N, 4], px.
+            ids: identity of each feature, [N].
             rate_rad_s: Log(C_curr_prev) per second at the time of the frame, [3], camera frame: the
                 mean of the steps before and after it.
             camera: the rectified camera.
@@ -61,7 +69,7 @@ class RowSamples:
         row = 0.5 * (corrected_px[:, 1] + corrected_px[:, 3])
         speed = (row - before.pixels[:, 1]) / _MOMENT_S
         known = np.isfinite(speed)
-        return RowSamples(raw_px[known], speed[known])
+        return RowSamples(raw_px[known], speed[known], ids[known])
 
 
 def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
@@ -76,4 +84,6 @@ def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
         pixels[:, 3] - pixels[:, 1],
         number,
         prior_sigma=np.r_[10.0 * ROW_SIGMA_PX, DELAY_SIGMA_S],
+        # A feature keeps some of its error, that of its texture, for as long as it is seen.
+        track=np.concatenate([frame.ids for frame in frames]),
     )

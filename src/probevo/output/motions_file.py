@@ -94,6 +94,7 @@ _OPTIONAL = {
     "right_late_frames": _Optional((), int),
     "other_camera": _Optional(None, str),
     "imu_left_out": _Optional(None, str),
+    "imu_unused_from": _Optional((), int),
     "imu_noise_factor": _Optional((), float),
     "accelerometer_scale": _Optional((3,), _scale, astuple),
     "stopped": _Optional(None, str),

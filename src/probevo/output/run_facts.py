@@ -67,7 +67,9 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Format": sequence.format,
         "Frames": frames_text(result.stamps_ns, len(sequence)),
         "Camera": camera_text(sequence.camera),
-        "IMU": imu_use_text(sequence, config, left_out=result.imu_left_out),
+        "IMU": imu_use_text(
+            sequence, config, left_out=result.imu_left_out, unused_from=result.imu_unused_from
+        ),
         "Truth": truth_text(sequence.truth, len(result)),
         **masks,
         "Noise model": config.noise,
@@ -187,13 +189,20 @@ def imu_noise_text(noise_factor: float) -> str:
     return f"{ratio:.1f} times as large as calibrated (σ), which is taken into account"
 
 
-def imu_use_text(sequence: Sequence, config: RunConfig, *, left_out: str | None = None) -> str:
+def imu_use_text(
+    sequence: Sequence,
+    config: RunConfig,
+    *,
+    left_out: str | None = None,
+    unused_from: int | None = None,
+) -> str:
     """Describe whether there is an IMU, and what it is used for.
 
     Args:
         sequence: the recording.
         config: settings of a run.
         left_out: why the window did not use it in the end; None if it did, or before a run.
+        unused_from: index of the frame from which on it did not; None if it never did.
     """
     if not config.imu:
         return "left out"
@@ -206,7 +215,8 @@ def imu_use_text(sequence: Sequence, config: RunConfig, *, left_out: str | None 
     gyro = f"gyro {', '.join(uses)}"
     if config.estimator == "window" and config.window.imu == "auto":
         if left_out:
-            return f"not used in the window: it {left_out}; {gyro}"
+            since = "" if unused_from is None else f" from frame {unused_from} on"
+            return f"not used in the window{since}: it {left_out}; {gyro}"
         return f"in the window, once it agrees with the images; {gyro}"
     return gyro
 

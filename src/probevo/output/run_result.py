@@ -25,6 +25,7 @@ from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
+from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
 
 _COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
@@ -142,8 +143,11 @@ class RunResult:
     other_camera: str | None = None
     """In what the camera differs from that of the noise model's training; None if it does not."""
     imu_left_out: str | None = None
-    """Why the window did not use the IMU at the end of the run; None if it did, or there was
-    none."""
+    """Why the window did not use the IMU at the end of the run, the most frequent reason since it
+    was last used; None if it did, or there was none."""
+    imu_unused_from: int | None = None
+    """Index of the frame from which on the window did not use the IMU any more; None if it did at
+    the end, or never."""
     imu_noise_factor: float | None = None
     """By how much the variances of the IMU's samples exceed those of its calibration, as the window
     assumed at the end; None where it uses no IMU."""
@@ -312,6 +316,7 @@ class RunRecorder:
         self._rejected: Counter[str] = Counter()
         self._unusable: Counter[str] = Counter()
         self._sensors: dict[str, SensorUse] = {}
+        self._imu = ImuUse()
         self._poses = Rows(np.float64, 16)
         """T_world_cam of each frame, where sensors correct it."""
         self._pose_covs = Rows(np.float64, 36)
@@ -324,6 +329,7 @@ class RunRecorder:
         *,
         total_ms: float | None = None,
         rejected: Mapping[str, int] | None = None,
+        imu_is_in_window: bool = False,
     ) -> None:
         """Record the estimate of the next frame.
 
@@ -332,6 +338,7 @@ class RunRecorder:
             motion: its estimate; of the first frame, only its existence counts.
             total_ms: wall time of the step; the sum of its stages by default.
             rejected: points rejected at this step, by the check's name.
+            imu_is_in_window: whether the poses of the window depend on an IMU (``uses_imu``).
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
         self._numbers.add(
@@ -366,6 +373,7 @@ class RunRecorder:
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
+        self._imu.add(len(self._counts) - 1, motion.imu_left_out, is_in_window=imu_is_in_window)
         if motion.imu_left_out:
             self._unusable["steps_without_imu"] += 1
         for text in motion.missing:
@@ -410,6 +418,8 @@ class RunRecorder:
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
             sensors=dict(self._sensors),
+            imu_left_out=self._imu.left_out,
+            imu_unused_from=self._imu.unused_from,
             noise_factor=numbers[:, -2].copy(),
             num_used=num_used,
             num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,

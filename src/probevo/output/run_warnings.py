@@ -10,6 +10,7 @@ from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import relative_motions
+from probevo.geometry import se3
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
@@ -53,7 +54,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
-        "IMU": imu_warning(result.imu_left_out),
+        "IMU": imu_warning(result.imu_left_out, result.imu_unused_from),
         "Truth": truth_warning(result.T_curr_prev, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -117,11 +118,13 @@ def camera_warning(difference: str | None) -> str | None:
     )
 
 
-def imu_warning(reason: str | None) -> str | None:
-    """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
+def imu_warning(reason: str | None, unused_from: int | None = None) -> str | None:
+    """Warn if the window left out the IMU at the end of the run, for a reason, or from a frame on;
+    else None."""
     if not reason:
         return None
-    text = f"The IMU {reason}. The path is by images alone."
+    since = "The" if unused_from is None else f"From frame {unused_from} on, the"
+    text = f"The IMU {reason}. {since} path is by images alone."
     if reason.startswith("has "):  # what its samples are like, which no calibration mends
         return text
     return (
@@ -183,18 +186,34 @@ def truth_warning(T_curr_prev: FloatArray, truth: FloatArray | None) -> str | No
     is_known = np.isfinite(true_m).all(axis=1)
     if is_known.sum() < FEWEST_FOR_SCALE:
         return None
-    true_m = true_m[is_known]
     steps_m = T_curr_prev[is_known, :3, 3]
-    length_m = float(np.median(np.linalg.norm(true_m, axis=1)))
-    scale = float(np.sum(steps_m * true_m) / max(np.sum(steps_m * steps_m), 1e-12))
-    off_m = float(np.median(np.linalg.norm(scale * steps_m - true_m, axis=1)))
-    if off_m <= max(MAX_STEP_ERROR * length_m, LEAST_STEP_ERROR_M):
+    off_m, length_m = _misfit(steps_m, true_m[is_known])
+    if off_m <= _tolerance(length_m):
         return None
-    return (
+    text = (
         f"The steps are off the true ones by {off_m:.2g} m in the median, whatever their scale,"
-        f" where a true step is {length_m:.2g} m long. Is it the truth of this recording, with"
-        " poses T_world_cam of the camera?"
+        f" where a true step is {length_m:.2g} m long."
     )
+    inverse_m = relative_motions(se3.inverse(truth))[is_known, :3, 3]
+    off_inverse_m, length_m = _misfit(steps_m, inverse_m)
+    if off_inverse_m <= _tolerance(length_m):
+        return f"{text} They fit the inverse poses: is the truth T_cam_world, not T_world_cam?"
+    return f"{text} Is it the truth of this recording, with poses T_world_cam of the camera?"
+
+
+def _misfit(steps_m: FloatArray, true_m: FloatArray) -> tuple[float, float]:
+    """Return by how much steps, [K, 3], are off the true ones, [K, 3], in the median, at the scale
+    that fits best, and the median length of these, m."""
+    # A scale below zero would fit a path that is driven backwards.
+    scale = max(float(np.sum(steps_m * true_m) / max(np.sum(steps_m * steps_m), 1e-12)), 0.0)
+    off_m = float(np.median(np.linalg.norm(scale * steps_m - true_m, axis=1)))
+    return off_m, float(np.median(np.linalg.norm(true_m, axis=1)))
+
+
+def _tolerance(length_m: float) -> float:
+    """Return the error of steps whose median length is given that may be that of a coarse truth,
+    m."""
+    return max(MAX_STEP_ERROR * length_m, LEAST_STEP_ERROR_M)
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:

@@ -54,10 +54,20 @@ class Agreement:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean. Motions over several frames overlap, and count by so many
-        less."""
-        independent = max(len(self.squared) / self.frames, 1.0)
-        return float(np.std(self.squared)) / DIMENSION / float(np.sqrt(independent))
+        """Standard error of the mean, by the scatter of the differences."""
+        return float(np.std(self.squared)) / DIMENSION / float(np.sqrt(self.num_disjoint))
+
+    @property
+    def standard_error_if_true(self) -> float:
+        """Standard error that the mean has if the covariances hold: χ² of 6 degrees of freedom has
+        the variance 12. Their scatter is no measure for the test: it grows with what is tested."""
+        return float(np.sqrt(2.0 / (DIMENSION * self.num_disjoint)))
+
+    @property
+    def num_disjoint(self) -> float:
+        """Number of motions that count as independent: those over several frames overlap, and count
+        by so many less."""
+        return max(len(self.squared) / self.frames, 1.0)
 
     def share_inside(self, level: float) -> float:
         """Return the share of differences inside the region of this probability, 0 to 1."""

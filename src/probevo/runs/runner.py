@@ -17,7 +17,7 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window.inertial import noise_factor_of, reason_unused_at_end
+from probevo.estimation.window.inertial import noise_factor_of, uses_imu
 from probevo.estimation.window.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
@@ -250,7 +250,11 @@ class _Records:
         )
         # Last: only then the frame counts, so that Ctrl-C between two of these lines does no harm.
         self.recorder.add(
-            frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
+            frame.stamp_ns,
+            motion,
+            total_ms=total_ms,
+            rejected=odometry.tracks.rejected,
+            imu_is_in_window=uses_imu(odometry.window),
         )
 
     def result(self, sequence: Sequence, odometry: StereoOdometry) -> RunResult:
@@ -273,7 +277,6 @@ class _Records:
             smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
-            imu_left_out=reason_unused_at_end(odometry.window),
             imu_noise_factor=noise_factor_of(odometry.window),
         )
 

@@ -395,13 +395,6 @@ def reason_unused_in_step(window: Window | None) -> str:
     return "" if window is None or window.inertial is None else window.inertial.note
 
 
-def reason_unused_at_end(window: Window | None) -> str | None:
-    """Return why a window does not use its IMU at all; None if it does, or has none."""
-    if window is None or window.inertial is None or window.inertial.is_used:
-        return None
-    return window.inertial.note or None
-
-
 def noise_factor_of(window: Window | None) -> float | None:
     """Return by how much the samples' variances exceed those of the calibration; None if a window
     uses no IMU."""
