@@ -24,7 +24,7 @@ from probevo.geometry import se3
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
-from probevo.python_arguments import as_array, as_camera, as_noise
+from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
 from probevo.tracking.tracks import Tracks
 
 MIN_MATCHES = 3
@@ -67,8 +67,8 @@ def estimate_motion(
 
     Raises:
         InputError: an array has a wrong shape or is not finite, a covariance is not positive
-            definite, the guess is no rigid motion, the noise depends on predictors, or the camera
-            is impossible.
+            definite, the guess is no rigid motion, the noise depends on predictors, the camera is
+            impossible, or the seed negative.
     """
     camera = as_camera(camera)
     prev = as_array(prev_px, "prev_px", (None, 4))
@@ -77,6 +77,7 @@ def estimate_motion(
     start = np.eye(4)
     if guess is not None:
         start = se3.check_transform(as_array(guess, "guess", (4, 4)), "guess")
+    rng = np.random.default_rng(as_seed(seed))
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
     if len(tracks) < MIN_MATCHES:
@@ -86,7 +87,7 @@ def estimate_motion(
     consensus = find_consensus(
         tracks,
         camera,
-        np.random.default_rng(seed),
+        rng,
         guess=start,
         threshold=InlierThreshold(
             _threshold_px(of_matches), common_sigma_px(of_matches.jitter_cov, camera)
