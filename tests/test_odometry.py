@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements import NoMeasurement
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
-from probevo.predictors import prediction_space
+from probevo.predictors import PREDICTORS, prediction_space
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -859,6 +859,18 @@ def test_predictors_unlike_those_of_the_model_are_refused(names: list[str]) -> N
         pv.StereoOdometry(
             CAMERA, model_of(["x", "y", "row_offset"]), predictors=prediction_space(names)
         )
+
+
+def test_a_list_of_predictors_is_refused() -> None:
+    given: Any = [PREDICTORS["age"]]
+    with pytest.raises(InputError, match=r"^predictors: is \[(?s:.*)Give a PredictionSpace"):
+        pv.StereoOdometry(CAMERA, predictors=given)
+
+
+@pytest.mark.parametrize("given", [lambda prev, curr: None, None])
+def test_sensors_are_given_as_a_list(given: Any) -> None:
+    with pytest.raises(InputError, match=r"^sensors: is (?s:.*)Give a list, such as sensors="):
+        pv.StereoOdometry(CAMERA, sensors=given)
 
 
 def test_a_predictor_that_nobody_knows_is_refused() -> None:

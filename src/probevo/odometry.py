@@ -38,7 +38,14 @@ from probevo.measurements.sensor_suite import SensorSuite
 from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.python_arguments import as_camera, as_config, as_imu, as_noise
+from probevo.python_arguments import (
+    as_camera,
+    as_config,
+    as_imu,
+    as_noise,
+    as_predictors,
+    as_sensors,
+)
 from probevo.sequences.frame import Frame
 from probevo.sequences.frame_checks import check_memory
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -82,8 +89,8 @@ class StereoOdometry:
         self.config = as_config(config)
         if not self.config.any_camera:
             self.noise.check_camera(camera)
-        self.predictors = space_for(self.noise.columns, predictors)
-        self.sensors = tuple(sensors)
+        self.predictors = space_for(self.noise.columns, as_predictors(predictors))
+        self.sensors: tuple[Sensor | MotionCorrection, ...] = as_sensors(sensors)
         self._suite = SensorSuite(self.sensors)
         predicts_from_motion = (
             bool(self.noise.columns) and self.predictors.depends_on_previous_motion

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from numbers import Integral
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,7 +15,9 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
 from probevo.noise import NoiseModel, StudentT
 from probevo.noise.named import noise_model
+from probevo.predictors import PredictionSpace
 from probevo.run_config import checked_settings
+from probevo.sequences.base import Sequence
 from probevo.sequences.imu_calibration import ImuCalibration
 
 
@@ -70,6 +74,54 @@ def as_noise(noise: object) -> NoiseModel:
         cure = "Give a noise model, a name such as 'student-t', or the path of a model file."
         raise InputError("noise", f"is {brief(noise)}.", cure)
     return cast(NoiseModel, noise)
+
+
+def as_predictors(predictors: object) -> PredictionSpace | None:
+    """Return a prediction space; None for that of the noise model.
+
+    Raises:
+        InputError: it is something else, such as a list of predictors.
+    """
+    if predictors is None or isinstance(predictors, PredictionSpace):
+        return predictors
+    cure = "Give a PredictionSpace, such as probevo.predictors.prediction_space(['blur', 'age'])."
+    raise InputError("predictors", f"is {brief(predictors)}.", cure)
+
+
+def as_sensors(sensors: object) -> tuple[Any, ...]:
+    """Return several sensors, which are checked one by one later.
+
+    Raises:
+        InputError: it is one sensor, or none at all.
+    """
+    if not isinstance(sensors, Iterable):
+        cure = "Give a list, such as sensors=[compass]; without any, leave it out."
+        raise InputError("sensors", f"is {brief(sensors)}.", cure)
+    return tuple(sensors)
+
+
+def as_sequence(sequence: object) -> Sequence:
+    """Return a recording, by whichever class it is one.
+
+    Raises:
+        InputError: it is something else, such as a path, or a list of frames.
+    """
+    members = ("path", "format", "camera", "imu", "stamps_ns", "truth", "__len__", "__iter__")
+    if isinstance(sequence, type) or not all(hasattr(sequence, member) for member in members):
+        cure = f"Give a Sequence, such as open_sequence(path); it has {', '.join(members)}."
+        raise InputError("sequence", f"is {brief(sequence)}.", cure)
+    return cast(Sequence, sequence)
+
+
+def as_seed(seed: object) -> int:
+    """Return a seed of random choices.
+
+    Raises:
+        InputError: it is no whole number, or negative.
+    """
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError("seed", f"is {brief(seed)}.", "Give a whole number from 0 on.")
+    return int(seed)
 
 
 def as_config(config: object) -> OdometryConfig:

@@ -373,7 +373,8 @@ def setting_error(
     known = dict(_known_keys(model))
     first_key, first_fault = faults[0]
     if first_fault["type"] == "extra_forbidden":
-        cure = _nearest_keys(first_key, known)
+        is_dotted = any("." in str(part) for part in first_fault["loc"])
+        cure = _nearest_keys(first_key, known, is_dotted=is_dotted)
     else:
         cure = known.get(first_key, "") or known.get(first_key.rpartition(".")[0], "")
     return InputError(where, "; ".join(texts) + ".", cure)
@@ -387,14 +388,29 @@ def _fault_text(key: str, fault: ErrorDetails) -> str:
     return f"{key} is {brief(fault['input'])}; {message}" if key else message
 
 
-def _nearest_keys(key: str, known: Collection[str]) -> str:
+def _nearest_keys(key: str, known: Collection[str], *, is_dotted: bool) -> str:
+    """Return the cure of an unknown key: the nearest ones, as they are nested if it was written
+    with dots; or all."""
     key = key.replace("-", "_")
     last = key.rpartition(".")[2]
     # The right key in a wrong section, or in none, is nearer than any other spelling.
     near = [name for name in known if name.rpartition(".")[2] == last]
     if not near:
         near = get_close_matches(key, known, n=1)
+    if is_dotted and key in known:
+        return f"Nest it: {_nested(key)}."
+    if is_dotted:
+        near = [_nested(name) for name in near]
     return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}."
+
+
+def _nested(key: str) -> str:
+    """Return ``section.key`` as YAML has it: ``section: {key: …}``."""
+    *sections, last = key.split(".")
+    text = f"{last}: …"
+    for section in reversed(sections):
+        text = f"{section}: {{{text}}}"
+    return text
 
 
 def _known_keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:

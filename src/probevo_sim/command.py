@@ -56,7 +56,7 @@ class SpoilArguments:
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, or a bag."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the spoiled recording; it must be missing or empty."""
+    """Folder for the spoiled recording, which appears when complete; missing or empty before."""
     settings: Annotated[SpoilConfig, tyro.conf.arg(name="")] = field(default_factory=SpoilConfig)
     reading: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
@@ -127,15 +127,22 @@ def _spoil(arguments: SpoilArguments) -> list[str]:
     settings = checked(arguments.settings)
     reading = checked(arguments.reading)
     from probevo.cli.progress import progress_bar
+    from probevo.output.recording_folder import check_new_folder
     from probevo.sequences import open_sequence
+    from probevo.storage.work_folder import as_only_writer, moved_when_complete
     from probevo_sim.spoiling.recording import SpoiledRecording, write_spoiled
 
     out = arguments.out
+    check_new_folder(out)
     original = open_sequence(arguments.sequence, reading.format, **reading.format_options())
     recording = SpoiledRecording.of(original, settings)
     num_frames = len(recording)
-    with progress_bar(f"spoiling {original.path.resolve().name}", "reading") as show:
-        write_spoiled(out, recording, on_frame=lambda index: show(index + 1, num_frames))
+    with (
+        as_only_writer(out, check_new_folder) as work,
+        progress_bar(f"spoiling {original.path.resolve().name}", "reading") as show,
+        moved_when_complete(work, out) as partial,
+    ):
+        write_spoiled(partial, recording, on_frame=lambda index: show(index + 1, num_frames))
     effects = Counter(plan.effect or "clean" for plan in recording.plans)
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in effects.most_common())
     return [

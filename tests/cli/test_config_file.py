@@ -73,6 +73,12 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
             "the key tracking.num-features",
             "Did you mean tracking.num_features?",
         ),
+        (
+            "tracking.num_features: 9",
+            "the key tracking.num_features is not known.",
+            "Nest it: tracking: {num_features: …}.",
+        ),
+        ("tracking.num_feature: 9", "not known.", "Did you mean tracking: {num_features: …}?"),
         ("qwertz: 9", "the key qwertz is not known.", "Known are seed,"),
         (
             "tracking: {window_px: 3}",

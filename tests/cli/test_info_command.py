@@ -57,7 +57,7 @@ def test_an_imu_too_slow_for_the_window_is_marked(
 ) -> None:
     """What info announces is what a run does: packets at the rate of the frames are too few."""
     rows = info(write_kitti_raw(tmp_path / "raw", frames=6), capsys)
-    assert "ms, where the window needs 5, or one in each 17 ms" in rows["! IMU"]
+    assert "ms, where the window needs 5, or one in each 18 ms" in rows["! IMU"]
     assert rows["use of IMU"].startswith("gyro to start the tracking")
     rows = info(write_folder_sequence(tmp_path / "folder"), capsys)
     assert "! IMU" not in rows

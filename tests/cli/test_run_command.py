@@ -337,6 +337,17 @@ def test_sigterm_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     assert "After 4 frames: stopped by SIGTERM." in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.parametrize("kind", ["path", "list", "generator"])
+def test_what_is_no_recording_is_refused(kind: str, wall: Path, tmp_path: Path) -> None:
+    given: Any = {
+        "path": str(wall),
+        "list": list(open_sequence(wall)),
+        "generator": iter(open_sequence(wall)),
+    }[kind]
+    with pytest.raises(InputError, match=r"^sequence: is (?s:.*)such as open_sequence\(path\)"):
+        run_sequence(given, None, tmp_path)
+
+
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("report.html", "disk full")])
 def test_where_not_all_files_can_be_written_older_results_stay(
     stop: BaseException,

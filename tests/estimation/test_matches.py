@@ -157,6 +157,12 @@ def test_wrong_arguments_are_input_errors(arguments: Any, message: str) -> None:
         pv.estimate_motion(*arguments)
 
 
+@pytest.mark.parametrize("seed", [-1, 0.5, None])
+def test_a_seed_is_a_whole_number(seed: Any) -> None:
+    with pytest.raises(InputError, match=r"^seed: is (?s:.*)Give a whole number"):
+        pv.estimate_motion(SEEN, SEEN, np.eye(4), CAMERA, seed=seed)
+
+
 def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None:
     """``compound`` of what ``step`` returned gives the pose and covariance that it returned."""
     from cli.rendering import write_wall

@@ -62,6 +62,18 @@ def test_a_cut_file_is_noticed_wherever_the_cut(suffix: str, kept: float, tmp_pa
         read_gray(tmp_path / f"a{suffix}")
 
 
+@pytest.mark.parametrize("progressive", [0, 1])
+@pytest.mark.parametrize("trailer", [b"\0" * 9, b"SEFT1234", b"\xff\xd8\xff\xe1 of another image"])
+def test_what_follows_the_end_of_a_jpeg_is_ignored(
+    trailer: bytes, progressive: int, tmp_path: Path
+) -> None:
+    data = cv2.imencode(".jpg", image(0), [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])[1]
+    (tmp_path / "a.jpg").write_bytes(data.tobytes())
+    expected = read_gray(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(data.tobytes() + trailer)
+    np.testing.assert_array_equal(read_gray(tmp_path / "a.jpg"), expected)
+
+
 @pytest.mark.parametrize("byte", [20, 60, 1000, 2500])
 def test_a_flipped_bit_in_a_png_is_noticed(byte: int, tmp_path: Path) -> None:
     data = bytearray(cv2.imencode(".png", image(0))[1].tobytes())
@@ -125,12 +137,24 @@ def test_the_claimed_size_is_that_of_the_decoded_image(
     assert read_gray(path, size_px).shape == size_px[::-1]
 
 
-def test_a_thumbnail_in_a_jpeg_is_not_its_size(tmp_path: Path) -> None:
-    """It lies in a segment of its own, before the frame header."""
+def jpeg_with_thumbnail() -> bytes:
     data = cv2.imencode(".jpg", image(0))[1].tobytes()
     thumbnail = cv2.imencode(".jpg", image(0)[:8, :8])[1].tobytes()
     segment = b"\xff\xe1" + struct.pack(">H", len(thumbnail) + 2) + thumbnail
-    (tmp_path / "a.jpg").write_bytes(data[:2] + segment + data[2:])
+    return data[:2] + segment + data[2:]
+
+
+def test_the_end_of_a_thumbnail_in_a_jpeg_is_not_its_end(tmp_path: Path) -> None:
+    data = jpeg_with_thumbnail()
+    for length in range(4, len(data), 7):
+        (tmp_path / "a.jpg").write_bytes(data[:length])
+        with pytest.raises(InputError, match="its end is missing"):
+            read_gray(tmp_path / "a.jpg")
+
+
+def test_a_thumbnail_in_a_jpeg_is_not_its_size(tmp_path: Path) -> None:
+    """It lies in a segment of its own, before the frame header."""
+    (tmp_path / "a.jpg").write_bytes(jpeg_with_thumbnail())
     assert read_size_px(tmp_path / "a.jpg") == (64, 48)
     assert read_gray(tmp_path / "a.jpg", (64, 48)).shape == (48, 64)
 

@@ -41,6 +41,15 @@ def rename(path: Path, side: str, names: list[str]) -> None:
         old.rename(old.with_name(f"{new}.png"))
 
 
+def named_by_stamps(root: Path, steps: tuple[int, ...]) -> Path:
+    """Write four pairs named by stamps that are so many tenths of a second apart."""
+    path = without_times(root)
+    stamps_ns = 1520530308199447626 + 100_000_000 * np.cumsum((0, *steps))
+    for side in ("left", "right"):
+        rename(path, side, [str(stamp_ns) for stamp_ns in stamps_ns])
+    return path
+
+
 # --- times ---------------------------------------------------------------------------------------
 
 
@@ -164,6 +173,28 @@ def test_a_rate_beside_times_is_refused(tmp_path: Path) -> None:
         open_sequence(write_folder_sequence(tmp_path), rate_hz=10.0)
     with pytest.raises(InputError, match="rate_hz"):
         open_sequence(tmp_path, rate_hz=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("steps", "rate_hz", "fragment"),
+    [
+        ((1, 1, 1), 20.0, r"are 0\.1 s apart \(10 Hz\)\.(?s:.*)Leave out --rate-hz"),
+        ((1, 1, 1), 8.9, r"\(10 Hz\)"),
+        ((1, 3, 1), 10.0, r"have a gap of 0\.300 s after frame 1\."),
+    ],
+)
+def test_a_rate_that_contradicts_the_names_is_refused(
+    steps: tuple[int, ...], rate_hz: float, fragment: str, tmp_path: Path
+) -> None:
+    path = named_by_stamps(tmp_path, steps)
+    with pytest.raises(InputError, match=fragment):
+        open_sequence(path, rate_hz=rate_hz)
+
+
+def test_beside_a_rate_that_agrees_the_times_are_those_of_the_names(tmp_path: Path) -> None:
+    path = named_by_stamps(tmp_path, (1, 1, 1))
+    expected = open_sequence(path).stamps_ns
+    np.testing.assert_array_equal(open_sequence(path, rate_hz=10.5).stamps_ns, expected)
 
 
 def test_the_command_line_gives_rate_and_calibration(

@@ -115,6 +115,14 @@ FRAME_CHANGES: dict[str, tuple[dict[str, Any], str]] = {
         {"features": StereoFeatures(np.arange(2.0), np.ones((2, 4)))},  # type: ignore[arg-type]
         "its feature ids are of type float64",
     ),
+    "features of two arrays": (
+        {"features": (np.arange(2), np.ones((2, 4)))},
+        r"argument features is a tuple\.\n *Give features=StereoFeatures\(ids, pixels\)\.",
+    ),
+    "IMU of three arrays": (
+        {"imu": (np.arange(2), np.ones((2, 3)), np.ones((2, 3)))},
+        r"argument imu is a tuple\.\n *Give imu=ImuSamples\(stamps_ns, gyro_rad_s, accel_m_s2\)\.",
+    ),
     "pixels None": (
         {"features": StereoFeatures(np.arange(2), None)},  # type: ignore[arg-type]
         "its feature pixels are missing",

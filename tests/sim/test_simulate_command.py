@@ -215,3 +215,36 @@ def test_a_spoiled_recording_is_written_and_counted(
     assert len(open_sequence(out)) == 12
     # What is there already is not written over.
     assert main([*words, "--out", str(out)]) == 2
+
+
+@pytest.mark.parametrize("stop", ["damaged image", "Ctrl-C", "kill"])
+def test_a_spoiled_recording_appears_when_it_is_complete(
+    stop: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever stops it, the same command then succeeds."""
+    original = write_folder_sequence(tmp_path / "original", 12)
+    out = tmp_path / "spoiled"
+    words = ["simulate", "spoil", str(original), "--preset", "jpeg", "--out", str(out)]
+    image = original / "left" / "000005.png"
+    content = image.read_bytes()
+    if stop == "damaged image":
+        image.write_bytes(content[:-99])
+        assert main(words) == 2
+        image.write_bytes(content)
+    elif stop == "Ctrl-C":
+        with monkeypatch.context() as patch:
+            patch.setattr("probevo_sim.spoiling.recording.RECORD", _Interrupt())
+            assert main(words) == 130
+    else:
+        (tmp_path / "spoiled.work" / "recording" / "left").mkdir(parents=True)
+    assert not out.exists()
+    assert main(words) == 0
+    assert len(open_sequence(out)) == 12
+    assert not (tmp_path / "spoiled.work").exists()
+
+
+class _Interrupt:
+    """A name of a file that nobody gets to write."""
+
+    def __rtruediv__(self, folder: Path) -> Path:
+        raise KeyboardInterrupt

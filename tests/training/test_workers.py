@@ -1,13 +1,14 @@
 """Tasks in other processes: the same results even if processes are killed; errors stay intact."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Timer
+from threading import Thread, Timer, active_count
 from typing import Any
 
 import pytest
@@ -240,3 +241,34 @@ def test_a_cluster_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch)
             InputError, match=f"--cluster: no Dask scheduler answers at '{address}'"
         ):
             Workers(cluster=address).map(squared, [1], ["one"])
+
+
+@pytest.mark.parametrize("said", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b""])
+def test_another_service_than_a_cluster_is_refused_in_time(
+    said: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask would take the text for a length of exabytes, and wait for ever for one that is silent.
+
+    As a process ends, too, nothing is waited for.
+    """
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(workers_module, "CONNECT_S", 0.5)
+    num_threads = active_count()
+    with socket.create_server(("127.0.0.1", 0)) as service:
+        talker = Thread(target=answer_once, args=(service, said))
+        talker.start()
+        address = f"tcp://127.0.0.1:{service.getsockname()[1]}"
+        with pytest.raises(InputError, match="--cluster: no Dask scheduler answers at"):
+            Workers(cluster=address).map(squared, [1], ["one"])
+        talker.join()
+    assert active_count() == num_threads
+
+
+def answer_once(service: socket.socket, said: bytes) -> None:
+    """Say something to the first caller, and hear it until it hangs up."""
+    connection, _ = service.accept()
+    with connection:
+        connection.sendall(said)
+        with suppress(ConnectionError):
+            while connection.recv(4096):
+                pass

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from shutil import rmtree
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -15,7 +12,6 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings, RosSettings
-from probevo.storage.files import CHOOSE_ANOTHER
 
 if TYPE_CHECKING:
     from probevo.output.run_result import RunResult
@@ -57,18 +53,21 @@ def main(words: list[str]) -> None:
         InputError: the source is faulty, it cannot be written in that format, or the file exists.
     """
     arguments = parse(ConvertArguments, words, "convert")
+    from probevo.storage.work_folder import as_only_writer, work_folder_of
+
     settings = checked(arguments.settings)
     ros = checked(arguments.ros)
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
-    if arguments.out.is_file() and _work_folder(arguments.out).is_dir():
-        with _as_only_writer(arguments.out):  # refuses the file, once what a kill has left is gone
+    if arguments.out.is_file() and work_folder_of(arguments.out).is_dir():
+        # This refuses the file, once what a kill has left is gone.
+        with as_only_writer(arguments.out, _check_new):
             pass
     _check_new(arguments.out)
     is_run = (arguments.source / MOTIONS).is_file()
     _check_flags(arguments, ros, is_run=is_run)
     if is_run:
-        with _as_only_writer(arguments.out):
+        with as_only_writer(arguments.out, _check_new):
             _convert_run(arguments, ros)
         return
     is_bag = arguments.out.suffix in BAG_SUFFIXES
@@ -85,7 +84,7 @@ def main(words: list[str]) -> None:
 
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
-    with _as_only_writer(arguments.out) as work:
+    with as_only_writer(arguments.out, _check_new) as work:
         _write(sequence, arguments, work, num_frames=num_frames, is_bag=is_bag)
     print(f"{num_frames} frames written: {arguments.out}")
     if is_bag and sequence.imu is not None:
@@ -127,30 +126,6 @@ def _check_new(out: Path) -> None:
         raise InputError("--out", f"{out} exists.", "Name another file, or remove that one.")
 
 
-def _work_folder(out: Path) -> Path:
-    whole = out.absolute()  # "." has no name
-    return whole.with_name(f"{whole.name}.work")
-
-
-@contextmanager
-def _as_only_writer(out: Path) -> Iterator[Path]:
-    """Give a folder to work in, beside the output, while no other process converts into it.
-
-    Raises:
-        InputError: another one does, or has just finished; or the place is not writable.
-    """
-    from probevo.storage.lock import locked
-
-    work = _work_folder(out)
-    try:
-        with locked(work):
-            _check_new(out)
-            yield work
-    finally:
-        with suppress(OSError):  # if a killed process had left it, the lock leaves it, too
-            work.rmdir()
-
-
 def _write(
     sequence: Sequence,
     arguments: ConvertArguments,
@@ -163,6 +138,7 @@ def _write(
     from probevo.cli.progress import progress_bar
     from probevo.output.recording_folder import check_new_folder, write_recording_folder
     from probevo.output.ros.recording_bag import write_recording_bag
+    from probevo.storage.work_folder import moved_when_complete
 
     num_done = count(1)
     with progress_bar(sequence.path.resolve().name, "reading") as show:
@@ -181,27 +157,8 @@ def _write(
             )
         else:
             check_new_folder(arguments.out)
-            partial = work / "recording"
-            rmtree(partial, ignore_errors=True)  # what a killed process has left
-            try:
+            with moved_when_complete(work, arguments.out) as partial:
                 write_recording_folder(partial, sequence, num_frames=num_frames, on_frame=on_frame)
-                _move(partial, arguments.out)
-            finally:
-                rmtree(partial, ignore_errors=True)
-
-
-def _move(folder: Path, out: Path) -> None:
-    """Give a folder its name, which an empty one may have.
-
-    Raises:
-        InputError: another process has put something there meanwhile.
-    """
-    try:
-        if out.is_dir():
-            out.rmdir()
-        folder.rename(out)
-    except OSError as error:
-        raise InputError(out, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
 
 
 def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 """Name and text of each line; the names of warnings start with "!"."""
-GAP_FACTOR = 1.5
-"""A step longer than this many median ones is a gap."""
 USUAL_VIEW_DEG = (20.0, 150.0)
 USUAL_BASELINE_M = (0.03, 3.0)
 USUAL_RATE_HZ = (0.5, 500.0)
@@ -145,6 +143,8 @@ def _rate_warnings(sequence: Sequence) -> Rows:
 
 def _gaps(sequence: Sequence) -> Rows:
     import numpy as np
+
+    from probevo.sequences.stamps import GAP_FACTOR
 
     steps_s = np.diff(sequence.stamps_ns) * 1e-9
     if len(steps_s) == 0:

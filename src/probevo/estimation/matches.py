@@ -24,7 +24,7 @@ from probevo.geometry import se3
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
-from probevo.python_arguments import as_array, as_camera, as_noise
+from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
 from probevo.tracking.left_right import SWAP_COLUMNS, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
 
@@ -69,7 +69,7 @@ def estimate_motion(
     Raises:
         InputError: an array has a wrong shape or is not finite, left and right are swapped, a
             covariance is not positive definite, the guess is no rigid motion, the noise depends on
-            predictors, or the camera is impossible.
+            predictors, the camera is impossible, or the seed negative.
     """
     camera = as_camera(camera)
     prev = as_array(prev_px, "prev_px", (None, 4))
@@ -78,6 +78,7 @@ def estimate_motion(
     start = np.eye(4)
     if guess is not None:
         start = se3.check_transform(as_array(guess, "guess", (4, 4)), "guess")
+    rng = np.random.default_rng(as_seed(seed))
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
     check_left_right(*count_matches(tracks), "curr_px", cure=SWAP_COLUMNS)
@@ -88,7 +89,7 @@ def estimate_motion(
     consensus = find_consensus(
         tracks,
         camera,
-        np.random.default_rng(seed),
+        rng,
         guess=start,
         threshold=InlierThreshold(
             _threshold_px(of_matches), common_sigma_px(of_matches.jitter_cov, camera)

@@ -43,7 +43,7 @@ from probevo.output.rows import Rows
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
 from probevo.output.viewer_file import WINDOW, ViewerFile, check_viewer_path, opened_viewer
-from probevo.python_arguments import as_path
+from probevo.python_arguments import as_path, as_sensors, as_sequence
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
 from probevo.sensor_kinds import load_sensors
@@ -132,6 +132,7 @@ def run_sequence(
             unknown, a sensor cannot be loaded, or ``check_run`` refuses the run.
     """
     # Check everything that can be checked before the first frame.
+    sequence = as_sequence(sequence)
     out = as_path(out, "out")
     config = as_run_config(config)
     if not config.imu:
@@ -142,7 +143,7 @@ def run_sequence(
         check_bag_path(config.write, "--write")
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
-    used = (*load_sensors(config.sensor, sequence), *sensors)
+    used = (*load_sensors(config.sensor, sequence), *as_sensors(sensors))
     with locked(out), opened_viewer(config.viewer) as viewer:
         return _run(
             sequence,

@@ -1,4 +1,7 @@
-"""Whether an image file is complete, as far as its kind tells: by its length, or by its end."""
+"""Whether an image file is complete, as far as its kind tells: by its length, or by its end.
+
+Whatever follows the end is ignored, as by decoders: some cameras append data of their own.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ from collections.abc import Callable
 
 from probevo.sequences.png import DamagedError
 
-JPEG_END = b"\xff\xd9"
+JPEG_START = b"\xff\xd8"
+JPEG_SEGMENT = re.compile(rb"\xff+([^\x00\x01\xd0-\xd8\xff])")
+"""A marker other than those without a segment behind them. Among pixels, a byte 0xFF is followed by
+0 or by a restart marker, 0xD0 to 0xD7."""
+JPEG_END = b"\xd9"
 RIFF_HEADER_BYTES = 8
 PNM_HEADER = re.compile(
     rb"P[56](?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s"
@@ -31,8 +38,16 @@ def check_complete(data: bytes) -> None:
 
 
 def _check_jpeg(data: bytes) -> None:
-    if not data.rstrip(b"\0").endswith(JPEG_END):
-        raise DamagedError("its end is missing")
+    """Check that the end marker (EOI) is there.
+
+    Segments are skipped by their length, so that the end of a thumbnail inside one does not count.
+    """
+    position = len(JPEG_START)
+    while marker := JPEG_SEGMENT.search(data, position):
+        if marker[1] == JPEG_END:
+            return
+        position = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
+    raise DamagedError("its end is missing")
 
 
 def _check_pnm(data: bytes) -> None:
@@ -64,7 +79,7 @@ def _check_tiff(data: bytes) -> None:
 
 
 _CHECKS: dict[bytes, Callable[[bytes], None]] = {
-    b"\xff\xd8": _check_jpeg,
+    JPEG_START: _check_jpeg,
     b"P5": _check_pnm,
     b"P6": _check_pnm,
     b"RIFF": _check_webp,

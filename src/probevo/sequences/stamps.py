@@ -23,6 +23,12 @@ LARGEST_EXPONENT = 9
 """Powers of ten of the smallest plausible time other than 0, s, and of the largest that int64 ns
 hold, 9.2e9 s."""
 
+RATE_TOLERANCE = 0.1
+"""Relative difference of a rate that a user gives from that of the stamps: a nominal rate and a
+cheap clock differ by less, a wrong rate by more."""
+GAP_FACTOR = 1.5
+"""An interval longer than this many median ones is a gap."""
+
 
 def read_times(path: Path, count: int) -> IntArray:
     """Read the times of ``count`` frames, one a line, [count], ns.
@@ -95,6 +101,33 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
 def evenly_spaced(count: int, rate_hz: float) -> IntArray:
     """Return the times of frames that are equally spaced, from zero, [count], ns."""
     return np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path) -> None:
+    """Refuse a rate that the stamps in the names of images contradict, or that hides their gaps.
+
+    Args:
+        rate_hz: of equally spaced frames, as the user gives it.
+        stamps_ns: of the frames, [K], strictly ascending.
+        where: the folder of the images.
+
+    Raises:
+        InputError: the median interval is of another rate, or an interval is a gap.
+    """
+    if len(stamps_ns) < 2:
+        return
+    intervals_s = 1e-9 * np.diff(stamps_ns)
+    median_s = float(np.median(intervals_s))
+    longest = int(np.argmax(intervals_s))
+    if abs(rate_hz * median_s - 1.0) > RATE_TOLERANCE:
+        found = f"are {median_s:.4g} s apart ({1.0 / median_s:.4g} Hz)"
+    elif intervals_s[longest] > GAP_FACTOR * median_s:
+        found = f"have a gap of {intervals_s[longest]:.3f} s after frame {longest}"
+    else:
+        return
+    what = f"the rate of {rate_hz:g} Hz contradicts the stamps in the file names, which {found}."
+    cure = "Leave out --rate-hz. If the names are no stamps, give the times in a times.txt."
+    raise InputError(where, what, cure)
 
 
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:

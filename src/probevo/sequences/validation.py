@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -97,8 +97,9 @@ def with_plain_arrays(frame: Frame) -> Frame:
     These are float64 for pixels, rates and forces, and int64 for identities and stamps.
 
     Raises:
-        InputError: it is no frame; an array holds something else than numbers, or than whole
-            numbers where they are needed, or some that do not fit in 64 bits.
+        InputError: it is no frame; features or IMU samples are of another class; an array holds
+            something else than numbers, or than whole numbers where they are needed, or some that
+            do not fit in 64 bits.
     """
     if not isinstance(frame, Frame):
         cure = "Give a Frame, such as Frame(index, stamp_ns, left, right)."
@@ -106,12 +107,14 @@ def with_plain_arrays(frame: Frame) -> Frame:
     where = f"frame {frame.index}"
     features = frame.features
     if features is not None:
+        _check_kind(features, StereoFeatures, where, "features")
         features = StereoFeatures(
             ids=_whole_numbers(features.ids, where, "feature ids"),
             pixels=_numbers(features.pixels, where, "feature pixels"),
         )
     imu = frame.imu
     if imu is not None:
+        _check_kind(imu, ImuSamples, where, "imu")
         imu = ImuSamples(
             stamps_ns=_whole_numbers(imu.stamps_ns, where, "IMU stamps_ns"),
             gyro_rad_s=_numbers(imu.gyro_rad_s, where, "IMU gyro_rad_s"),
@@ -146,6 +149,20 @@ def usable_imu(frame: Frame) -> ImuSamples | None:
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None
     return _kept(imu, _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S))
+
+
+def _check_kind(
+    value: object, kind: type[StereoFeatures | ImuSamples], where: str, name: str
+) -> None:
+    """Refuse features or IMU samples of another class, such as a tuple of arrays.
+
+    Raises:
+        InputError: names the field of the frame, and the class that it takes.
+    """
+    if not isinstance(value, kind):
+        names = ", ".join(field.name for field in fields(kind))
+        what = f"the argument {name} is a {type(value).__name__}."
+        raise InputError(where, what, f"Give {name}={kind.__name__}({names}).")
 
 
 def _numbers(values: object, where: str, name: str) -> FloatArray:

@@ -5,10 +5,11 @@ The results are the same.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from itertools import islice
@@ -326,13 +327,43 @@ def _client(address: str) -> Any:
             "Install probevo[cluster], here and where its workers run.",
         ) from error
     try:
+        # In a thread, since this one may have an event loop of its own, as in a notebook.
+        with ThreadPoolExecutor(max_workers=1) as thread:
+            thread.submit(asyncio.run, _check_scheduler(address)).result()
         return Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except Exception as error:
+        # Of any type: Dask takes the bytes of another service for lengths, or for its own messages.
         raise InputError(
             "--cluster",
             f"no Dask scheduler answers at {address!r}.",
             "Give its address, such as tcp://10.0.0.1:8786.",
         ) from error
+
+
+async def _check_scheduler(address: str) -> None:
+    """Ask whoever answers at an address whether it is a scheduler.
+
+    Dask's client does not bound this: it may wait for ever for a service that says nothing, and
+    after a failure it keeps this process from ending for 20 s.
+
+    Raises:
+        ValueError: it is none, or the address is not one.
+        OSError: nobody answers; TimeoutError if not within CONNECT_S.
+        Exception: what Dask raises at the answer of another service.
+    """
+    from distributed import Security
+    from distributed.comm import connect
+
+    async with asyncio.timeout(CONNECT_S):
+        security = Security().get_connection_args("client")
+        comm = await connect(address, timeout=CONNECT_S, **security)
+        try:
+            await comm.write({"op": "identity", "reply": True})
+            answer = await comm.read()
+        finally:
+            comm.abort()
+    if not isinstance(answer, dict) or answer.get("type") != "Scheduler":
+        raise ValueError("not a scheduler")
 
 
 def _listed(names: list[str]) -> str:

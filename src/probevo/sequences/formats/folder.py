@@ -43,7 +43,13 @@ from probevo.sequences.imu_calibration import (
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import pair_stamps
-from probevo.sequences.stamps import check_stamps, evenly_spaced, read_times, stamps_of_names
+from probevo.sequences.stamps import (
+    check_rate,
+    check_stamps,
+    evenly_spaced,
+    read_times,
+    stamps_of_names,
+)
 from probevo.sequences.text import read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
@@ -140,7 +146,8 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
                        [, accel_bias_sigma_m_s2] [, accel_bias_walk_m_s3_sqrt_hz] [, time_offset_s];
                        or a calibration of raw images, see ``calibration_files``
         times.txt      time of each frame, one a line: seconds, or whole nanoseconds. Not needed
-                       where file names are stamps (then these pair the images), or with rate_hz
+                       where file names are stamps (then these pair the images), or else with
+                       rate_hz
         imu.csv        (optional) header stamp_ns,wx,wy,wz,ax,ay,az: rad/s and m/s² in the IMU
                        frame; or a data.csv of EuRoC's imu0
         poses.txt      (optional) ground truth T_world_cam: the 12 numbers of KITTI a line, nan
@@ -223,24 +230,32 @@ class _Pictures:
 
 
 def _list_pictures(path: Path, options: FolderOptions) -> _Pictures:
-    """Return the pairs with their times: of ``times.txt``, at a rate, or of the file names.
+    """Return the pairs with their times: of ``times.txt``, of the file names, or at a rate.
 
     Raises:
-        InputError: an image lacks its partner, or nothing tells the times.
+        InputError: an image lacks its partner, nothing tells the times, or a rate contradicts them.
     """
     times = path / "times.txt"
     rate_hz = options.rate_hz
     if times.exists() and rate_hz is not None:
         what = f"the rate of {rate_hz:g} Hz contradicts times.txt."
         raise InputError(times, what, "Remove the file, or leave out --rate-hz.")
-    if not times.exists() and rate_hz is None:
-        return _pictures_by_stamps(path, options.pair_tolerance_ms)
+    if not times.exists() and (rate_hz is None or _are_named_by_stamps(path)):
+        pictures = _pictures_by_stamps(path, options.pair_tolerance_ms)
+        if rate_hz is not None:
+            check_rate(rate_hz, pictures.stamps_ns, path / "left")
+        return pictures
     left_files, right_files = list_pairs(path / "left", path / "right")
     if rate_hz is None:
         stamps_ns = read_times(times, len(left_files))
     else:
         stamps_ns = evenly_spaced(len(left_files), rate_hz)
     return _Pictures(stamps_ns, left_files, right_files)
+
+
+def _are_named_by_stamps(path: Path) -> bool:
+    """Return whether the names of the left images are stamps, and those of the right ones."""
+    return all(stamps_of_names(list_images(path / side)) is not None for side in ("left", "right"))
 
 
 def _pictures_by_stamps(path: Path, tolerance_ms: float) -> _Pictures:
