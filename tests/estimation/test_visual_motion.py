@@ -240,8 +240,8 @@ def test_a_scale_that_was_learned_is_kept() -> None:
     assert estimate(tracks, noise=given).estimated_noise_factor is None
 
 
-def test_in_a_window_the_default_errors_of_aligned_windows_do_not_last() -> None:
-    """They do with two frames, in tracks of another front end, and where that was given."""
+def test_in_a_window_the_errors_of_aligned_windows_do_not_last() -> None:
+    """They do with two frames, and in tracks of another front end."""
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     aligned = replace(tracks, difference=np.full((200, 2), 2.0))
     given = StudentT(4.0, 0.03 * np.eye(4), time_correlation_ratio=0.7)
@@ -254,7 +254,8 @@ def test_in_a_window_the_default_errors_of_aligned_windows_do_not_last() -> None
 
     assert not lasts(aligned, StudentT(), CONFIG)
     assert lasts(tracks, StudentT(), CONFIG)
-    assert lasts(aligned, given, CONFIG)
+    assert not lasts(aligned, given, CONFIG)
+    assert lasts(tracks, given, CONFIG)
     assert lasts(aligned, StudentT(), two_frames)
 
 

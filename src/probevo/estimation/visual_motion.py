@@ -229,11 +229,10 @@ class VisualEstimator:
         self._noise = noise
         self._config = config
         self._predicts_from_motion = predicts_from_motion
-        is_assumed = has_assumed_scale(noise)
-        self._scales_noise = is_assumed and config.solver.noise_scale == "online"
+        self._scales_noise = has_assumed_scale(noise) and config.solver.noise_scale == "online"
         # A window describes by itself how long the errors of aligned windows last, by a correlation
-        # of successive errors. More than that has to be learned.
-        self._drops_time_correlation = is_assumed and config.estimator == "window"
+        # of successive errors.
+        self._drops_time_correlation = config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
         self._two_frame: Estimator = TwoFrameEstimator(
