@@ -25,7 +25,7 @@ from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
 from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
-from probevo.tracking.left_right import SWAP_COLUMNS, check_left_right, count_matches
+from probevo.tracking.left_right import check_features
 from probevo.tracking.tracks import Tracks
 
 MIN_MATCHES = 3
@@ -81,7 +81,7 @@ def estimate_motion(
     rng = np.random.default_rng(as_seed(seed))
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
-    check_left_right(*count_matches(tracks), "curr_px", cure=SWAP_COLUMNS)
+    check_features(tracks, "curr_px")
     if len(tracks) < MIN_MATCHES:
         return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
 

@@ -6,12 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.sequences.frame import Frame
-from probevo.tracking.left_right import (
-    FRAMES_TO_SEE,
-    SWAP_COLUMNS,
-    check_left_right,
-    count_matches,
-)
+from probevo.tracking.left_right import FRAMES_TO_SEE, check_features
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
@@ -53,8 +48,7 @@ class FeatureMatcher:
         # Whoever reads a recording has found out before, and names its file. Later frames may show
         # nothing but points far away, whose disparities are noise.
         if frame.index == FRAMES_TO_SEE + 1:
-            where = f"features of frame {frame.index}"
-            check_left_right(*count_matches(tracks), where, cure=SWAP_COLUMNS)
+            check_features(tracks, f"features of frame {frame.index}")
         # All features of this frame, matched or not: the next frame may have them again.
         alive = TrackingState(
             ids=ids,

@@ -98,6 +98,20 @@ def check_left_right(
         )
 
 
+def check_features(tracks: Tracks, where: str) -> None:
+    """Refuse tracks of features whose left and right are swapped, which have no recording.
+
+    Args:
+        tracks: of one step.
+        where: what they are, for the message.
+
+    Raises:
+        SwappedImagesError: nearly all of them have negative disparity.
+    """
+    num_positive, num_negative = count_matches(tracks)
+    check_left_right(num_positive, num_negative, where, cure=SWAP_COLUMNS)
+
+
 def how_to_swap(recording: str | Path) -> str:
     """Say how to exchange left and right in a recording of this name."""
     path = Path(recording)

@@ -32,19 +32,38 @@ def rotation_sensor(prev: Frame, curr: Frame, C_curr_prev: FloatArray) -> list[M
     ]
 
 
+def odometry_before_the_dark(C_in_the_dark: FloatArray) -> StereoOdometry:
+    """Return an odometry after ``FIRST`` frames, with a sensor that tells this rotation next."""
+
+    def sensor(prev: Frame, curr: Frame) -> list[Measurement]:
+        rotation = C_in_the_dark if curr.index >= FIRST else FORWARD[:3, :3]
+        return rotation_sensor(prev, curr, rotation)
+
+    odometry = StereoOdometry(CAMERA, sensors=[sensor])
+    for frame in drive(np.random.default_rng(3), FIRST, points=150, sigma_px=0.2):
+        odometry.step(frame)
+    return odometry
+
+
+def darkened(frames: list[Frame], num_dark: int) -> list[Frame]:
+    """Return a drive with so many blind frames from ``FIRST`` on, and other points behind them."""
+    seen = []
+    for frame in frames:
+        if FIRST <= frame.index < FIRST + num_dark:
+            frame = blind_frame(frame.index)
+        elif frame.index >= FIRST + num_dark and frame.features is not None:
+            features = replace(frame.features, ids=frame.features.ids + 10**6)
+            frame = replace(frame, features=features)
+        seen.append(frame)
+    return seen
+
+
 def test_a_precise_sensor_counts_where_dead_reckoning_is_far_off() -> None:
     """By ten and more standard deviations of the sensor, but not by many of its own."""
     turn = so3.exp(np.array([0.0, 0.03, 0.0]))
-
-    def sensor(prev: Frame, curr: Frame) -> list[Measurement]:
-        in_the_dark = curr.index >= FIRST
-        return rotation_sensor(prev, curr, turn if in_the_dark else FORWARD[:3, :3])
-
-    frames = drive(np.random.default_rng(3), FIRST, points=150, sigma_px=0.2)
-    odometry = StereoOdometry(CAMERA, sensors=[sensor])
-    for frame in frames:
-        before = odometry.step(frame)
-    attitude = before.T_world_cam[:3, :3]
+    odometry = odometry_before_the_dark(turn)
+    assert odometry.state is not None
+    attitude = odometry.state.pose.T_world_cam[:3, :3]
     for number in range(1, 5):
         estimate = odometry.step(blind_frame(FIRST + number - 1))
         attitude = attitude @ turn.T
@@ -57,16 +76,8 @@ def test_a_precise_sensor_counts_where_dead_reckoning_is_far_off() -> None:
 
 
 def test_a_sensor_that_contradicts_dead_reckoning_beyond_its_covariance_hardly_counts() -> None:
-    half_turn = so3.exp(np.array([0.0, 3.0, 0.0]))
-
-    def sensor(prev: Frame, curr: Frame) -> list[Measurement]:
-        lies = curr.index >= FIRST
-        return rotation_sensor(prev, curr, half_turn if lies else FORWARD[:3, :3])
-
-    frames = drive(np.random.default_rng(3), FIRST, points=150, sigma_px=0.2)
-    odometry = StereoOdometry(CAMERA, sensors=[sensor])
-    for frame in [*frames, blind_frame(FIRST)]:
-        estimate = odometry.step(frame)
+    odometry = odometry_before_the_dark(so3.exp(np.array([0.0, 3.0, 0.0])))
+    estimate = odometry.step(blind_frame(FIRST))
     assert np.linalg.norm(so3.log(estimate.T_curr_prev[:3, :3] @ FORWARD[:3, :3].T)) < 0.1
     assert estimate.sensors[0].weight is not None
     assert estimate.sensors[0].weight < 1e-3
@@ -112,15 +123,9 @@ def test_steps_after_a_long_blackout_claim_what_the_images_show() -> None:
     frames = drive(np.random.default_rng(0), FIRST + num_dark + 20, points=150, sigma_px=0.2)
     odometry = StereoOdometry(CAMERA, sensors=[sensor])
     squared = []
-    for frame in frames:
-        k = frame.index
-        if FIRST <= k < FIRST + num_dark:
-            frame = blind_frame(k)
-        elif k >= FIRST + num_dark and frame.features is not None:  # other points than before
-            features = replace(frame.features, ids=frame.features.ids + 10**6)
-            frame = replace(frame, features=features)
+    for frame in darkened(frames, num_dark):
         estimate = odometry.step(frame)
-        if k > FIRST + num_dark + 10:
+        if frame.index > FIRST + num_dark + 10:
             assert estimate.status is Status.OK
             assert np.sqrt(estimate.pose_cov[2, 2]) > 1.0
             assert np.sqrt(estimate.cov[:3, :3].diagonal().max()) < 0.03
@@ -148,13 +153,7 @@ def test_what_is_not_known_of_the_place_stays_unknown_among_near_points() -> Non
     )
     odometry = StereoOdometry(CAMERA, sensors=[sensor])
     sigmas = []
-    for frame in frames:
-        k = frame.index
-        if FIRST <= k < FIRST + num_dark:
-            frame = blind_frame(k)
-        elif k >= FIRST + num_dark and frame.features is not None:
-            features = replace(frame.features, ids=frame.features.ids + 10**6)
-            frame = replace(frame, features=features)
+    for frame in darkened(frames, num_dark):
         estimate = odometry.step(frame)
         sigmas.append(np.sqrt(estimate.pose_cov[:3, :3].diagonal().min()))
     at_dawn = sigmas[FIRST + num_dark]

@@ -22,7 +22,8 @@ LARGEST_ATTITUDE_SIGMA_RAD = 0.2
 may be subtracted from each other: beyond, their errors of linearisation exceed the difference."""
 LARGEST_POSITION_SHARE = 1e5
 """Variance of the position in the world, over that of the translation of a step, up to which they
-may be. A position known to 10 m beside a step known to 3 mm has 10⁷."""
+may be. A position known to 10 m beside a step known to 3 mm has 10⁷. With 10⁴ to 10⁶, the NEES of
+steps of two rendered streets and of KITTI's raw drive 0039 is the same to 0.02."""
 LARGEST_FORESEEN = 22.5
 """Squared length, in units of its covariance, up to which the correction of a pose is what the
 covariance had foreseen: 99.9 % of χ²(6)."""
