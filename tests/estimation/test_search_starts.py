@@ -233,3 +233,61 @@ def test_the_turn_that_images_show_is_a_start_once_most_features_in_view_are_los
     assert len(tracked.tracks) == 60
     if is_lost:
         assert tracker.starts[1][0, 2] == pytest.approx(50.0 / CAMERA.fu_px, abs=0.01)
+
+
+class BesideLorry(ImageTracker):
+    """Of 200 features, finds those of a lorry from rest, and those of the street from its speed."""
+
+    FOUND = (60, 45)
+    LEFT_THE_VIEW = (5, 120)
+
+    def __init__(self, starts: list[FloatArray]) -> None:
+        super().__init__(CAMERA, pv.OdometryConfig().tracking)
+        self.starts = starts
+
+    def follow(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Followed:
+        number = next(
+            k for k, start in enumerate(self.starts) if np.array_equal(T_curr_prev, start)
+        )
+        count = self.FOUND[number]
+        rng = np.random.default_rng(0)
+        depth_m = rng.uniform(8.0, 20.0, count)
+        points = rng.uniform(-0.2, 0.2, (count, 3)) * depth_m[:, None]
+        points[:, 2] = depth_m
+        tracks = Tracks(
+            CAMERA.project(points),
+            CAMERA.project(se3.transform(T_curr_prev, points)),
+            np.arange(count),
+            age=np.full(count, 2),
+            rejected={LEFT_THE_VIEW: self.LEFT_THE_VIEW[number]},
+        )
+        images = prepare_images(frame, self._config)
+        patches = AnchorPatches.cut(images.left[0], np.zeros((0, 2)), self._config.window_px)
+        alive = TrackingState.none(next_id=number)
+        return Followed(images, tracks, alive, patches, tracks.curr_px[:, :2], np.zeros(count))
+
+    def with_new_features(self, followed: Followed) -> Tracked:
+        return Tracked(followed.tracks, followed.alive)
+
+
+def test_a_lorry_ahead_is_no_street_at_rest() -> None:
+    """More features agree on rest, 60 of the 195 that would be in view, but more than half of the
+    80 on the speed that takes the others out of the view."""
+    at_rest = np.eye(4)
+    driving = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -4.0]))
+    alive = replace(
+        TrackingState.none(),
+        ids=np.arange(200),
+        pixels=np.zeros((200, 4)),
+        age=np.ones(200, np.int64),
+    )
+    tracked = track_from_best_start(
+        BesideLorry([at_rest, driving]),
+        alive,
+        frame(1, view(300, 120)),
+        prev_frame=frame(0, view(300, 120)),
+        starts=[at_rest, driving],
+        camera=CAMERA,
+        config=pv.OdometryConfig(),
+    )
+    assert tracked.state.next_id == 1
