@@ -250,6 +250,28 @@ def test_covariances_are_propagated_where_the_solve_ends() -> None:
     assert near.measurements == (Scalar(sigma=1.45, propagations=1),)
 
 
+@dataclass(frozen=True)
+class Creeping(Scalar):
+    """Each propagation lets the solve go on by 1.5 σ, up to 30 σ."""
+
+    target: float = 0.0
+
+    def propagated(self, values: Values) -> Creeping:
+        return replace(self, target=min(float(values[VECTOR][0]) + 1.5, 30.0))
+
+    def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
+        error = self.target - values[VECTOR]
+        return Linearization(cost=0.5 * float(error @ error), hessian=np.eye(1), gradient=error)
+
+
+def test_a_solve_that_creeps_arrives() -> None:
+    """In as many propagations as it takes, each more than 1 σ from the last one."""
+    start = {VECTOR: np.zeros(1)}
+    optimum = gauss_newton.minimize([Creeping()], start, [VECTOR], max_iterations=50)
+    assert optimum.converged
+    assert optimum.values[VECTOR] == pytest.approx(30.0)
+
+
 class Atan(VectorMeasurement):
     """z = atan(x): undamped Gauss–Newton diverges from |x − x̂| > 1.39."""
 

@@ -24,8 +24,9 @@ PROPAGATE_AFTER = 1.0
 """Squared distance, in standard deviations, from where the measurements' covariances were last
 propagated, beyond which they are propagated again. Within one, their age changes the estimate by
 less than a hundredth of a standard deviation."""
-MAX_PROPAGATIONS = 10
-"""From a guess as good as RANSAC's it takes two or three."""
+MAX_PROPAGATIONS = 50
+"""A bound against cycles. From a guess as good as RANSAC's it takes two or three; where few
+features agree with their noise, reweighted least squares creeps, and it may take thirty."""
 FIRST_DAMPING = 1e-6
 """Share of the Hessian's diagonal that is first added to it."""
 RETRY_DAMPING = 1e-3
@@ -132,6 +133,7 @@ def minimize(
                 return Optimum(values, measurements, iteration, converged=False)
             # Newton's Hessian may be indefinite; that of IRLS is not.
             newton = False
+            accepted = 0
             system = layout.add_up(measurements, values, newton=False)
             continue
         trial = layout.moved(values, step)
