@@ -40,7 +40,7 @@ docs: $(VENV)/.installed
 	$(BIN)/pip install --quiet --editable '.[docs]'
 	$(BIN)/python -m sphinx -W --keep-going -c docs . out/site
 
-# Every figure of README.md and docs/ once more; takes hours, and some need the real recordings.
+# Most figures of README.md and docs/ once more; takes hours, and some need the real recordings.
 docs-figures: $(VENV)/.installed
 	$(BIN)/python benchmarks/recompute.py
 

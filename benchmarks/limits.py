@@ -24,7 +24,7 @@ from probevo.geometry.uncertainty import compound
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
 from probevo.tracking import image_tracker
-from probevo.tracking.tracker import Tracked, TrackingState
+from probevo.tracking.tracker import Tracked
 
 CONFIGS = {
     "with self-calibration": pv.OdometryConfig(estimator="two-frame"),
@@ -66,19 +66,14 @@ def drift(T_world_cam: FloatArray, truth: FloatArray) -> str:
 
 def track_only_far_features() -> None:
     """Remove near features from the tracks of all odometries from here on."""
-    track = image_tracker.ImageTracker.track
+    complete = image_tracker.ImageTracker.with_new_features
 
-    def far(
-        self: image_tracker.ImageTracker,
-        state: TrackingState,
-        frame: pv.Frame,
-        T_curr_prev: FloatArray,
-    ) -> Tracked:
-        tracked = track(self, state, frame, T_curr_prev)
+    def far(self: image_tracker.ImageTracker, followed: image_tracker.Followed) -> Tracked:
+        tracked = complete(self, followed)
         disparity_px = tracked.tracks.prev_px[:, 0] - tracked.tracks.prev_px[:, 2]
         return replace(tracked, tracks=tracked.tracks.kept(disparity_px < FAR_PX))
 
-    image_tracker.ImageTracker.track = far
+    image_tracker.ImageTracker.with_new_features = far
 
 
 def two_steps_against_one(sequence: Sequence) -> float:

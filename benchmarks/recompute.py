@@ -64,7 +64,7 @@ FIGURES = (
     ),
     Figure(
         "limits",
-        ("docs/accuracy.md", "docs/performance.md"),
+        ("docs/accuracy.md",),
         "python benchmarks/limits.py",
         minutes=3,
         needs_data=True,
@@ -99,7 +99,7 @@ FIGURES = (
     ),
     Figure(
         "subpixel",
-        ("docs/accuracy.md",),
+        ("docs/tracker.md",),
         "python benchmarks/subpixel.py",
         minutes=1,
         needs_data=True,
@@ -244,7 +244,7 @@ FIGURES = (
     Figure("points", ("docs/simulation.md",), "python benchmarks/points.py", minutes=3),
     Figure("rendering", ("docs/simulation.md",), "python benchmarks/rendering.py", minutes=15),
     Figure("effects", ("docs/simulation.md",), "python benchmarks/effects.py 2", minutes=40),
-    Figure("feature-drift", ("docs/accuracy.md",), "python benchmarks/feature_drift.py", minutes=4),
+    Figure("feature-drift", ("docs/tracker.md",), "python benchmarks/feature_drift.py", minutes=4),
     Figure(
         "feature-errors", ("docs/simulation.md",), "python benchmarks/feature_errors.py", minutes=10
     ),
