@@ -35,9 +35,8 @@ from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.noise import NearestNeighbors
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
-from probevo.predictors.acceleration import GRAVITY_M_S2
 from probevo.sequences.frame import Frame, ImuSamples
-from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 from probevo.state import OdometryState
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_features
 

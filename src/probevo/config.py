@@ -227,7 +227,7 @@ class MotionModelConfig(Settings):
         20.0, gt=0, description="Standard deviation of the speed at the start."
     )
     start_turn_rate_rad_s: float = Field(
-        1.0, gt=0, description="Standard deviation of the turn rate at the start."
+        1.0, gt=0, description="Standard deviation of the angular rate at the start."
     )
     stamp_sigma_s: float = Field(
         0.005,
@@ -314,7 +314,8 @@ class OdometryConfig(Settings):
         "window",
         description=(
             "window: the last frames are adjusted together, which drifts least; two-frame: each"
-            " motion from its two frames, with the disparities of earlier ones, in half the time."
+            " motion from its two frames, with the disparities of earlier ones, in 0.55 to 0.7 of"
+            " the time."
         ),
     )
     window: WindowConfig = WindowConfig()

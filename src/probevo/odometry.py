@@ -157,8 +157,11 @@ class StereoOdometry:
 
     @property
     def T_of_images(self) -> FloatArray:
-        """The motion from the tracks of the two frames alone, without window, IMU and corrections,
-        [4, 4], m; the dead-reckoned one if they do not determine it."""
+        """The motion of the two-frame solve, [4, 4], m: before the window adjusts it, and before
+        corrections; the dead-reckoned one if there is no accepted solve.
+
+        Measurements of the motion by sensors, and the gyro with ``gyro.prior``, are part of it.
+        """
         return self._features.T_curr_prev
 
     @property
@@ -419,7 +422,7 @@ class StereoOdometry:
                 of_motion=solve_innovations(readings, pose, solution, reckoned),
             )
             clock.lap("sensors")
-        # The estimate and the state. The features keep the motion of this step by the images alone.
+        # The estimate and the state. The features keep the motion of the two-frame solve.
         T_of_images = two_frame.T_curr_prev
         if solved.recovery is not None:
             T_of_images = solved.recovery.path.closed(two_frame).T_curr_prev

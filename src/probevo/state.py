@@ -57,8 +57,7 @@ class StepFeatures:
     weights: FloatArray
     """Robust weight of each track, [N], from 0 (outlier) to 1."""
     T_curr_prev: FloatArray
-    """The motion from these tracks alone, without the window, or else the dead-reckoned one,
-    [4, 4], m."""
+    """The motion of the two-frame solve, or else the dead-reckoned one, [4, 4], m."""
 
     @staticmethod
     def none(num_columns: int) -> StepFeatures:

@@ -12,7 +12,6 @@ from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.nets.correction_training import train_correction
-from probevo.nets.extra import require_nets
 from probevo.network_settings import NetworkSettings
 from probevo.output.comparison.comparison_files import write_csv
 from probevo.output.files import write_json
@@ -50,7 +49,6 @@ def repeat_experiment(settings: DpcNetConfig, out: Path) -> list[str]:
     Raises:
         InputError: JAX is missing, or a file cannot be read or written.
     """
-    require_nets("paper dpc-net")
     cv2.setNumThreads(1)
     drives = [_drive(settings, number, out) for number in range(settings.drives + 4)]
     records: list[dict[str, object]] = []

@@ -10,7 +10,7 @@ from probevo.camera.likeness import difference
 from probevo.cli import train
 from probevo.cli.text import table
 from probevo.errors import InputError
-from probevo.output.trial_table import TrialTable, trials_text
+from probevo.output.trial_table import TrialTable
 from probevo.sequences import open_sequence
 from probevo_sim import command as simulate
 from probevo_sim.scene.writer import scene_folder
@@ -59,5 +59,5 @@ def train_all(
 
 def table_text(trials: TrialTable, *remarks: str) -> str:
     """Return the table as text, followed by these remarks and the table's own notes."""
-    head, *rows = trials_text(trials)
+    head, *rows = trials.as_table().text_rows()
     return "\n".join([table(head, rows), "", *remarks, *trials.notes, ""])

@@ -24,6 +24,7 @@ from probevo.measurements.relative_pose import RelativePose
 from probevo.nets.correction_network import CorrectionNetwork, inputs_of
 from probevo.nets.correction_sensor import CorrectionSensor
 from probevo.nets.estimated_steps import stereo_field, view_pair
+from probevo.nets.flow_field import virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.odometry import StereoOdometry
 from probevo.sequences.base import Sequence
@@ -73,9 +74,10 @@ class BaselineCorrection(MotionCorrection):
         self, prev_frame: Frame, frame: Frame, T_curr_prev: FloatArray, *, cov: FloatArray
     ) -> RelativePose:
         """Return the corrected motion."""
-        images = (prev_frame.left, prev_frame.right, frame.left, frame.right)
-        prev_left, prev_right, left, right = (np.asarray(image) for image in images)
-        prev_view, _ = view_pair(prev_left, prev_right, self.camera)
+        prev_left, left, right = (
+            np.asarray(image) for image in (prev_frame.left, frame.left, frame.right)
+        )
+        prev_view = virtual_view(prev_left, self.camera)
         field = stereo_field(prev_view, *view_pair(left, right, self.camera))
         motion = se3.log(T_curr_prev)
         xi = self.correction(self.network, inputs_of(field[None], motion[None], cov[None]))

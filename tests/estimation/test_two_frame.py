@@ -94,6 +94,28 @@ def test_the_covariance_of_either_is_consistent(method: Method, spread: float) -
     assert chi2.ppf(0.005, df=6 * 150) < np.sum(errors) < chi2.ppf(0.995, df=6 * 150)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_either_removes_the_bias_that_a_noise_model_has_learned(method: Method) -> None:
+    tracks = seen_twice(np.random.default_rng(25), 60, depth_m=NEAR_M)
+    bias = np.tile([0.5, 0.0, -0.2, 0.0], (60, 1))
+    noise = replace(Fixed().predict(np.zeros((60, 0))), bias=bias)
+    biased = tracks_of(tracks.prev_px, tracks.curr_px + bias)
+    assert np.abs(motion_error(solved(biased, method, noise).T_curr_prev)).max() < 1e-6
+
+
+def test_both_take_the_noise_of_each_observation_at_its_own_time() -> None:
+    """The covariance shrinks alike if the first frame is ten times as sharp as the second one."""
+    tracks = seen_twice(np.random.default_rng(26), 100, depth_m=NEAR_M)
+    equal = Fixed().predict(np.zeros((100, 0)))
+    sharper = replace(equal, prev_scale=0.01 * equal.scale)
+    reprojected, aligned = (
+        np.diag(solved(tracks, method, sharper).cov) / np.diag(solved(tracks, method, equal).cov)
+        for method in METHODS
+    )
+    assert (reprojected < 0.5).all()
+    np.testing.assert_allclose(aligned, reprojected, rtol=0.3)
+
+
 def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:
     """At its own motion: residuals and weights, by which mismatches are found."""
     tracks = seen_twice(np.random.default_rng(21), 80, sigma_px=0.2, depth_m=NEAR_M)

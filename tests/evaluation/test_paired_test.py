@@ -9,7 +9,7 @@ from scipy.stats import binom
 from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import evaluate
 from probevo.evaluation.paired_test import (
-    FIGURES,
+    ERRORS,
     mean_block_length,
     paired_differences,
     random_blocks,
@@ -33,11 +33,11 @@ def test_the_level_of_the_test_holds() -> None:
     trials = 200
     T = true_motions(20)
     truth = se3.chain_motions(T)
-    count = dict.fromkeys(FIGURES, 0)
+    count = dict.fromkeys(ERRORS, 0)
     rng = np.random.default_rng(5)
     for _ in range(trials):
         found = paired_differences(noisy(T, rng), noisy(T, rng), truth, rng, draws=99)
-        for name in FIGURES:
+        for name in ERRORS:
             count[name] += found[name].is_significant
     highest = binom.ppf(0.995, trials, 0.05)
     assert max(count.values()) <= highest, count
@@ -71,8 +71,8 @@ def test_all_figures_are_those_of_the_metrics() -> None:
     truth[[0, 7, 8, 39]] = np.nan
     found = paired_differences(a, b, truth, rng, draws=9)
     metrics = evaluate(se3.chain_motions(a), truth)
-    assert {name: found[name].error_a for name in FIGURES} == pytest.approx(
-        {name: getattr(metrics, name) for name in FIGURES}, rel=1e-9
+    assert {name: found[name].error_a for name in ERRORS} == pytest.approx(
+        {name: getattr(metrics, name) for name in ERRORS}, rel=1e-9
     )
 
 

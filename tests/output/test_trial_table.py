@@ -18,7 +18,6 @@ from probevo.output.trial_table import (
     trial_table,
     trials_latex,
     trials_section,
-    trials_text,
 )
 
 TABLE = TrialTable(
@@ -55,7 +54,7 @@ def width(cells: list[str]) -> int:
 
 
 def test_text_has_both_errors_of_an_estimator_in_one_column() -> None:
-    assert trials_text(TABLE) == [
+    assert TABLE.as_table().text_rows() == [
         ("trial", "type", "length m", "fixed", "a_b"),
         ("city_1", "City", "1,251.1", "4.84 / 12.6", "3.30 / 12.6"),
         ("  published", "", "–", "4.00 / 1.00", "   – /    –"),
@@ -86,7 +85,7 @@ def test_without_kinds_there_is_no_column_for_them() -> None:
     columns, rows = tabular(trials_latex(plain))
     assert columns == "lrrrrr"
     assert {width(row) for row in rows} == {6}
-    assert trials_text(plain)[0] == ("trial", "length m", "fixed", "a_b")
+    assert plain.as_table().text_rows()[0] == ("trial", "length m", "fixed", "a_b")
     assert "type" not in trials_section(plain)
 
 
@@ -157,7 +156,9 @@ def test_other_measures_have_columns_of_their_own() -> None:
         assert {width(row) for row in rows} == {len(columns)}
         assert rows[1][2] == f"{measures[0][0].capitalize()} [m]"
         assert rows[2][2] == (r"\textbf{0}")
-        assert trials_text(other)[1][2] == " / ".join(["0", "1.00", "2.00"][: len(measures)])
+        assert other.as_table().text_rows()[1][2] == " / ".join(
+            ["0", "1.00", "2.00"][: len(measures)]
+        )
         section = trials_section(other)
         assert f'<th colspan="{len(measures)}">x</th>' in section
         assert "In the form of thesis Table 0" in section

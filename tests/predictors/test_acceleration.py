@@ -6,8 +6,9 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.predictors.acceleration import GRAVITY_M_S2, acceleration
+from probevo.predictors.acceleration import acceleration
 from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu_calibration import GRAVITY_M_S2
 
 GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 

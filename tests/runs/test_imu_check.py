@@ -51,7 +51,7 @@ def test_a_gyro_that_agrees_with_the_images_raises_no_warning() -> None:
     [
         (np.rad2deg(1.0), 0, CALIBRATION.C_cam_imu, "Is the gyro in degrees per second?"),
         (1.0, 10 * LATER_NS, CALIBRATION.C_cam_imu, ""),
-        (1.0, 5 * LATER_NS, CALIBRATION.C_cam_imu, "if its stamps were -150 ms later"),
+        (1.0, 5 * LATER_NS, CALIBRATION.C_cam_imu, "with its stamps shifted by -150 ms"),
         (-1.0, 0, CALIBRATION.C_cam_imu, "Has the gyro the opposite sign?"),
         (1.0, 0, CALIBRATION.C_cam_imu.T, "by the inverse of T_cam_imu"),
         (1.0, 0, so3.exp(np.array([0.01, 0.01, 0.01])) @ CALIBRATION.C_cam_imu, None),

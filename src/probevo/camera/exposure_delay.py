@@ -28,6 +28,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.rig_rows import OffsetsOfFrame, fit_row_offsets
 from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 from probevo.compiled import compiled
 
 DELAY_SIGMA_S = 0.02
@@ -161,7 +162,7 @@ def without_delay(
     """
     corrected: FloatArray = pixels.copy()
     if delay_s:
-        _remove_delay(corrected, twist, _intrinsics(camera), delay_s)
+        _remove_delay(corrected, twist, Intrinsics.of(camera), delay_s)
     return corrected
 
 
@@ -177,31 +178,26 @@ def right_velocity(
         delay_s: τ.
     """
     velocity = np.empty((len(pixels), 2))
-    _fill_right_velocity(pixels, twist, _intrinsics(camera), delay_s, velocity)
+    _fill_right_velocity(pixels, twist, Intrinsics.of(camera), delay_s, velocity)
     return velocity
-
-
-def _intrinsics(camera: StereoCamera) -> tuple[float, float, float, float, float]:
-    """Return (f_u, f_v, c_u, c_v, b)."""
-    return camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m
 
 
 @compiled
 def _fill_right_velocity(
     pixels: FloatArray,
     twist: FloatArray,
-    intrinsics: tuple[float, float, float, float, float],
+    camera: Intrinsics,
     delay_s: float,
     velocity: FloatArray,
 ) -> None:
-    """Fill the mean velocities, [N, 2], px/s, for intrinsics (f_u, f_v, c_u, c_v, b)."""
-    fu, fv, cu, cv, baseline = intrinsics
+    """Fill the mean velocities, [N, 2], px/s."""
+    fu, fv, cu, cv, fb = camera
     vx, vy, vz, wx, wy, wz = twist
     for k in range(len(pixels)):
         x = (pixels[k, 0] - cu) / fu
         y = (pixels[k, 1] - cv) / fv
         x_right = (pixels[k, 2] - cu) / fu
-        inverse_depth = (pixels[k, 0] - pixels[k, 2]) / (fu * baseline)
+        inverse_depth = (pixels[k, 0] - pixels[k, 2]) / fb
         # ṗ over the depth of the point: ω × (x, y, 1) + v / Z.
         rate_x = wy - wz * y + vx * inverse_depth
         rate_y = wz * x - wx + vy * inverse_depth
@@ -216,7 +212,7 @@ def _fill_right_velocity(
 def _remove_delay(
     pixels: FloatArray,
     twist: FloatArray,
-    intrinsics: tuple[float, float, float, float, float],
+    camera: Intrinsics,
     delay_s: float,
 ) -> None:
     """Move u_r and v_r of observations, [N, 4], px, to the time of the left image.
@@ -227,7 +223,8 @@ def _remove_delay(
 
     which is linear in ρ. Observations that no point at rest can have stay as they are.
     """
-    fu, fv, cu, cv, baseline = intrinsics
+    fu, fv, cu, cv, fb = camera
+    baseline_m = fb / fu
     vx, vy, vz, wx, wy, wz = twist
     for k in range(len(pixels)):
         x = (pixels[k, 0] - cu) / fu
@@ -236,8 +233,8 @@ def _remove_delay(
         turned_x = wy - wz * y
         turned_y = wz * x - wx
         turned_z = wx * y - wy * x
-        apart_m = baseline + delay_s * (x_later * vz - vx)
-        if apart_m < LEAST_SHARE * baseline:
+        apart_m = baseline_m + delay_s * (x_later * vz - vx)
+        if apart_m < LEAST_SHARE * baseline_m:
             continue
         inverse_depth = x + delay_s * turned_x - x_later * (1.0 + delay_s * turned_z)
         inverse_depth /= apart_m
@@ -246,7 +243,7 @@ def _remove_delay(
         if share < LEAST_SHARE:
             continue
         rate_y = turned_y + inverse_depth * vy
-        pixels[k, 2] = pixels[k, 0] - fu * baseline * inverse_depth
+        pixels[k, 2] = pixels[k, 0] - fb * inverse_depth
         pixels[k, 3] -= delay_s * fv * (rate_y - y * rate_z) / share
 
 

@@ -78,7 +78,7 @@ class RigCalibration:
     image: ImageErrors = field(default_factory=ImageErrors.initial)
     """b₁, b₂ and the distortion field."""
     jitter: RigJitter = field(default_factory=RigJitter.initial)
-    """Covariance of the rig's rotation from frame to frame."""
+    """Covariance S of the rig's jitter, a rotation that is new in each frame."""
     delay: ExposureDelay = field(default_factory=lambda: ExposureDelay(ROW_SIGMA_PX))
     """Exposure delay of the right camera."""
     focal: FocalLengthEstimate = field(default_factory=FocalLengthEstimate.initial)
@@ -101,11 +101,6 @@ class RigCalibration:
     def disparity(self) -> FloatArray:
         """b₁, b₂, [2], px."""
         return self.image.disparity
-
-    @property
-    def disparity_cov(self) -> FloatArray:
-        """Covariance of (b₀, b₁, b₂), [3, 3], px²."""
-        return self.disparity_and_field_cov[:3, :3]
 
     @property
     def disparity_and_field_cov(self) -> FloatArray:

@@ -109,6 +109,13 @@ class StereoCamera:
         """Return the normalised coordinates x = (u − c_u)/f_u and y = (v − c_v)/f_v, left image."""
         return (u_px - self.cu_px) / self.fu_px, (v_px - self.cv_px) / self.fv_px
 
+    def unit_rays(self, pixels: FloatArray) -> FloatArray:
+        """Return unit vectors towards observations in the left image, [N, ≥ 2], px, to [N, 3]."""
+        x, y = self.normalized(pixels[:, 0], pixels[:, 1])
+        rays = np.column_stack([x, y, np.ones_like(x)])
+        unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return unit
+
     def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Move the points at N observations [N, 4], px, each divided by its depth in a.
 

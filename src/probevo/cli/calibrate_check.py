@@ -236,7 +236,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
     heights = GroundHeights(camera)
     motions = []
     solved = []
-    left_right = LeftRightCheck(sequence.path, max_frames or len(sequence))
+    left_right = LeftRightCheck(sequence.path, min(max_frames, len(sequence)))
     steps: list[_Step] = []
     prev_ns = 0
     for frame in islice(sequence, max_frames):

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.run import default_settings
-from probevo.cli.text import table
+from probevo.cli.run import default_common_settings
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.run_config import CommonRunSettings, ReadSettings, RunConfig, run_config
@@ -96,10 +95,7 @@ class Job:
 
 def main(words: list[str]) -> None:
     """Parse the arguments, check everything, run, and write the comparison."""
-    given = default_settings(words)
-    common = CommonRunSettings.model_validate(
-        {name: getattr(given, name) for name in CommonRunSettings.model_fields}
-    )
+    common = default_common_settings(words)
     default = CompareArguments(sequences=tyro.MISSING, out=tyro.MISSING, settings=common)
     arguments = parse(CompareArguments, words, "compare", default=default)
     settings = checked(arguments.settings)
@@ -336,12 +332,11 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison.comparison import column_notes, comparison_rows, verdicts
+    from probevo.output.comparison.comparison import column_notes, comparison_table, verdicts
     from probevo.output.comparison.without_truth import without_truth
 
-    head, *rows = comparison_rows(comparison)
     return [
-        table(head, rows),
+        comparison_table(comparison).as_text(),
         "",
         *verdicts(comparison),
         *without_truth(comparison),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import parse
-from probevo.cli.text import columns, table
+from probevo.cli.text import columns
 from probevo.run_config import RunConfig
 from probevo.training.settings import TrainSettings
 from probevo_sim.scene.config import Effects, SceneConfig
@@ -72,7 +72,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo.output.comparison.comparison import (
         Comparison,
         column_notes,
-        comparison_rows,
+        comparison_table,
         verdicts,
     )
     from probevo.output.comparison.comparison_page import write_comparison
@@ -116,8 +116,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
         facts=facts | kinds | {"probevo": __version__},
         remarks=(*gains, CAUTION),
     )
-    head, *rows = comparison_rows(comparison)
-    print(table(head, rows))
+    print(comparison_table(comparison).as_text())
     print(f"\n{columns(kinds.items())}\n")
     for line in (*verdicts(comparison), *gains, CAUTION):
         print(line)

@@ -180,7 +180,7 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
     else:
         remark = _check_numbers(estimate, truth)
         matched = truth.T_world_cam[:num_frames]
-        cure = "The others are nan."
+        cure = "Give true poses of at least two frames; others may be nan."
 
     num_known = int(np.isfinite(matched).all(axis=(1, 2)).sum())
     if num_known < 2:

@@ -1,4 +1,4 @@
-"""``probevo info``: describe a recording, check its calibration, and tell what will be used."""
+"""``probevo info``: describe a recording, check its calibration, and say what will be used."""
 
 from __future__ import annotations
 
@@ -223,7 +223,8 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
 
 
 def _reason_against_window(sequence: Sequence) -> str:
-    """Return why the window can use the IMU in hardly any step; nothing if it can, or has none."""
+    """Return why the window can use the IMU in hardly any step; empty if it can, or without an
+    IMU."""
     from probevo.measurements.preintegration import NoPreintegration, preintegrate
     from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.recording import ImageRecording

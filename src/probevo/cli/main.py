@@ -51,7 +51,7 @@ and estimates the covariance of each step.
   probevo eval RUN --gt POSES
       compare a run, or a trajectory file, with true poses
   probevo info SEQUENCE
-      describe a recording, check its calibration, and tell what will be used
+      describe a recording, check its calibration, and say what will be used
   probevo calibrate-check SEQUENCE
       say what a recording itself tells of its calibration, with the cure
   probevo covariance-check SEQUENCE

@@ -15,7 +15,7 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
-from probevo.run_config import RunConfig, read_config
+from probevo.run_config import CommonRunSettings, RunConfig, read_config
 
 if TYPE_CHECKING:
     from probevo.runs.runner import Run
@@ -127,6 +127,14 @@ def with_viewer_window(words: list[str]) -> list[str]:
         if word == "--viewer" and following.startswith("--"):
             found.append("window")
     return found
+
+
+def default_common_settings(words: list[str]) -> CommonRunSettings:
+    """Return those of ``default_settings`` that several commands have."""
+    given = default_settings(words)
+    return CommonRunSettings.model_validate(
+        {name: getattr(given, name) for name in CommonRunSettings.model_fields}
+    )
 
 
 def default_settings(words: list[str]) -> RunConfig:

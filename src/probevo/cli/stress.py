@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.run import default_settings
+from probevo.cli.run import default_common_settings
 from probevo.errors import InputError
 from probevo.run_config import CommonRunSettings, run_config
 from probevo_sim.spoiling.config import StressConfig
@@ -50,10 +50,7 @@ class StressArguments:
 
 def main(words: list[str]) -> None:
     """Parse the arguments, check everything, run, and write the results."""
-    given = default_settings(words)
-    common = CommonRunSettings.model_validate(
-        {name: getattr(given, name) for name in CommonRunSettings.model_fields}
-    )
+    common = default_common_settings(words)
     default = StressArguments(sequence=tyro.MISSING, out=tyro.MISSING, settings=common)
     arguments = parse(StressArguments, words, "stress", default=default)
     grid = checked(arguments.stress)

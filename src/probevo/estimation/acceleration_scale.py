@@ -19,8 +19,8 @@ PRIOR_S = 1.0
 """Time of motion that the settings count for."""
 
 LARGEST_FACTOR = 10.0
-"""No rig is shaken by more than 50 m/s² and 20 rad/s²; a stamp that is wrong pretends any
-acceleration."""
+"""With the default settings, 50 m/s² and 20 rad/s², more than any rig is shaken by. Without a
+bound, a wrong stamp would look like any acceleration."""
 
 
 @dataclass(frozen=True)

@@ -111,30 +111,31 @@ class _PointPairs:
         cov_curr_px: FloatArray,
         camera: StereoCamera,
     ) -> _PointPairs:
-        """p = g(y) with covariance G R Gᵀ (PROBE eqs. 8-9)."""
+        """Return the points p = g(y) with covariance G R Gᵀ (PROBE eqs. 8-9)."""
         # A point at infinity or beyond has no coordinates in metres.
         is_near = (prev_px[:, 0] > prev_px[:, 2]) & (curr_px[:, 0] > curr_px[:, 2])
         shape = (len(prev_px), 4, 4)
-        points = []
-        covs = []
-        for pixels, cov_px in ((prev_px, cov_prev_px), (curr_px, cov_curr_px)):
-            G = camera.triangulate_jacobian(pixels[is_near])
-            points.append(camera.triangulate(pixels[is_near]))
-            covs.append(G @ np.broadcast_to(cov_px, shape)[is_near] @ G.mT)
-        return _PointPairs(*points, *covs)
+        G_prev = camera.triangulate_jacobian(prev_px[is_near])
+        G_curr = camera.triangulate_jacobian(curr_px[is_near])
+        return _PointPairs(
+            prev=camera.triangulate(prev_px[is_near]),
+            curr=camera.triangulate(curr_px[is_near]),
+            cov_prev=G_prev @ np.broadcast_to(cov_prev_px, shape)[is_near] @ G_prev.mT,
+            cov_curr=G_curr @ np.broadcast_to(cov_curr_px, shape)[is_near] @ G_curr.mT,
+        )
 
     def weights(self, T: FloatArray) -> FloatArray:
-        """Γ of each pair at the rotation of T, [N, 3, 3], m⁻² (PROBE eq. 8)."""
+        """Return Γ of each pair at the rotation of T, [N, 3, 3], m⁻² (PROBE eq. 8)."""
         C = T[:3, :3]
         return np.asarray(np.linalg.inv(self.cov_curr + C @ self.cov_prev @ C.T), dtype=np.float64)
 
     def cost(self, T: FloatArray, Gamma: FloatArray) -> float:
-        """½ Σ eᵀ Γ e (PROBE eq. 7)."""
+        """Return ½ Σ eᵀ Γ e (PROBE eq. 7)."""
         e = self.curr - se3.transform(T, self.prev)
         return 0.5 * float(np.einsum("ni,nij,nj", e, Gamma, e))
 
     def normal_equations(self, T: FloatArray, Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Σ Eᵀ Γ E, [6, 6], and Σ Eᵀ Γ e, [6], with E = [1, −q^] (PROBE eq. 13)."""
+        """Return Σ Eᵀ Γ E, [6, 6], and Σ Eᵀ Γ e, [6], with E = [1, −q^] (PROBE eq. 13)."""
         # Exp(ξ) moves q = T p by ρ + φ × q = [1, −q^] ξ, and e by minus that.
         q = se3.transform(T, self.prev)
         E = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -so3.wedge(q)], axis=2)
@@ -145,8 +146,8 @@ class _PointPairs:
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse of a positive semi-definite [6, 6] matrix, its eigenvalues bounded below once its
-    diagonal is one."""
+    """Return the inverse of a positive semi-definite [6, 6] matrix, its eigenvalues bounded below
+    once its diagonal is one."""
     # With a diagonal of one, eigenvalues of m and of rad can be compared.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _LEAST_INFORMATION))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))

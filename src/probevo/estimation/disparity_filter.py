@@ -71,7 +71,7 @@ are not negative."""
 class StepCorrelation(NamedTuple):
     """What correlates the error of a step's motion with those of the steps before and after it.
 
-    The common-mode errors c, of covariance I before and after each step, carry the correlation on:
+    The common-mode errors c, of covariance I before and after each step, mediate the correlation:
     given them, the errors of two successive steps are independent.
     """
 

@@ -121,11 +121,9 @@ def update_states(
                 for q in range(4):
                     gain[s, r] += prior.cross_cov[i, q, s] * features.information[i, q, r]
                 x[n, s] += gain[s, r] * e
-        # ``cross_cov`` is H P, of which the columns of (d, δ) are kept.
-        # P − K H P and V − K D. A variance that the residual takes away entirely stays positive.
-        # ∂d'/∂d, with d' = u_l' − u_r'.
-        growth = features.disparity_jacobian[i, 0] - features.disparity_jacobian[i, 2]
-        # The diagonal of P is enlarged by a rounding error first, which is what then remains.
+        # P − K H P and V − K D, with the columns of (d, δ) of H P in ``cross_cov``. The diagonal of
+        # P is first enlarged by a rounding error, so that a variance stays positive even if the
+        # residual takes all of it away.
         for s in range(2):
             for t in range(2):
                 cov[n, s, t] = prior.cov[i, 2 + s, 2 + t] * (1.0 + ROUNDING if s == t else 1.0)
@@ -137,8 +135,9 @@ def update_states(
                     sensitivity[n, s, k] = common[i, s, k - first_moving]
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
-        # In terms of the current frame: d' = growth · d, and the motion ξ moves d' itself, by the
-        # rows of J for u_l less those for u_r. The mean is moved by the caller.
+        # In terms of the current frame: d' = u_l' − u_r' grows by ∂d'/∂d, and the motion ξ moves d'
+        # itself, by the rows of J for u_l less those for u_r. The mean is moved by the caller.
+        growth = features.disparity_jacobian[i, 0] - features.disparity_jacobian[i, 2]
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
@@ -275,8 +274,8 @@ def joint_posterior(
         return False
     for i in range(free):
         mean[num_known + i] = step[i]
-    # A serves as work space of the inversion first.
-    # The factors A and B, and f, the geometric mean of the diagonal of B A⁻¹.
+    # The factors A and B, and f, the geometric mean of the diagonal of B A⁻¹. The inversion has A
+    # as its work space first.
     information = np.empty((m, m))
     A = np.zeros((m, m))
     B = np.zeros((m, m))

@@ -90,19 +90,11 @@ def _rotated_as_predicted(
     them (PROBE V), [N]."""
     if limit_deg == 0.0:  # off, the default: it needs a good predicted rotation, as of a gyro
         return np.ones(len(tracks), np.bool_)
-    prev_rays = _unit_rays(tracks.prev_px, camera)
-    curr_rays = _unit_rays(tracks.curr_px, camera)
+    prev_rays = camera.unit_rays(tracks.prev_px)
+    curr_rays = camera.unit_rays(tracks.curr_px)
     cosine = np.sum((prev_rays @ C_curr_prev.T) * curr_rays, axis=1)
     near: BoolArray = cosine >= np.cos(np.deg2rad(limit_deg))
     return near
-
-
-def _unit_rays(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return the unit vectors towards features [N, 4], [N, 3]."""
-    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-    rays = np.column_stack([x, y, np.ones_like(x)])
-    unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return unit
 
 
 def _centroid_motion(tracks: Tracks, camera: StereoCamera, T_predicted: FloatArray) -> FloatArray:

@@ -1,4 +1,5 @@
-"""The rotation between two images from matched descriptors, for a camera that turned anyhow.
+"""The rotation between two images from matched descriptors, for a camera that has turned by
+any angle.
 
 Lucas–Kanade follows a feature for a few tens of pixels, and a window that turns by about ten
 degrees. Descriptors (ORB: Rublee et al., ICCV 2011) find it anywhere, turned by any angle, but less
@@ -55,8 +56,8 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
     curr_px = np.array([found[match.trainIdx].pt for match in matches])
     # Places are those of the centres of pixels, which are at whole numbers.
     to_middle_px = 0.5 * (reduction - 1)
-    prev_rays = _rays(reduction * prev_px + to_middle_px, camera)
-    curr_rays = _rays(reduction * curr_px + to_middle_px, camera)
+    prev_rays = camera.unit_rays(reduction * prev_px + to_middle_px)
+    curr_rays = camera.unit_rays(reduction * curr_px + to_middle_px)
     agreeing = _best_sample(prev_rays, curr_rays)
     if int(agreeing.sum()) < FEWEST_AGREEING:
         return None
@@ -72,15 +73,6 @@ def _reduced(image: Image, factor: int) -> Image:
         return image
     size = image.shape[1] // factor, image.shape[0] // factor
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-
-
-def _rays(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return unit vectors towards pixels, [N, 2] to [N, 3]."""
-    rays = np.ones((len(pixels), 3))
-    rays[:, 0] = (pixels[:, 0] - camera.cu_px) / camera.fu_px
-    rays[:, 1] = (pixels[:, 1] - camera.cv_px) / camera.fv_px
-    unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return unit
 
 
 def _best_sample(prev_rays: FloatArray, curr_rays: FloatArray) -> BoolArray:

@@ -17,7 +17,7 @@ MEMORY_STEPS = 100.0
 """Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
 LARGEST_FACTOR = 100.0
 """By how much the variances of a model may be too small or too large. No recording here reaches it.
-With 10, which clean rendered ones do, their steps claim up to a third too much."""
+Clean rendered ones would reach a bound of 10; their steps then claim up to a third too much."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from probevo.measurements.stereo_observations import JitterUnknown, StereoObserv
 
 LEAST_MOTION = 100.0
 """Squared length of a motion, in units of its covariance, from which on it tells of the errors of
-the images; noise alone has 6. What looks like a motion at rest is noise, and so would be what it
-tells, for as long as a rig stands."""
+the images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
+that are learned from it for as long as the rig stands."""
 
 
 @dataclass(frozen=True)

@@ -54,8 +54,8 @@ class CommonMode(NamedTuple):
 def update_rig(
     rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> tuple[RigCalibration, CommonMode]:
-    """Update disparity errors b, jitter and focal-length error ε of the rig, and return how the
-    uncertainty of b moves the motion.
+    """Update the errors of the images (b₁, b₂ and the distortion field), the jitter and the
+    focal-length error ε, and return how errors of b and of the field move the motion.
 
     With D = ∂e/∂(b₀, c, a₆, ε), where c are b₁, b₂ and the distortion field, and J = −∂e/∂ξ (and
     −∂e/∂η, if the noise has a jitter), c and ε are estimated from the joint normal equations, from

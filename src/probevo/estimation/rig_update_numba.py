@@ -15,7 +15,7 @@ def disparity_sensitivities(
     camera: Intrinsics,
     sensitivity: FloatArray,
 ) -> None:
-    """Fill ∂e/∂(b₀, b₁, b₂, a₆), [N, 4, ≥ 4].
+    """Fill ∂e/∂(b₀, b₁, b₂, a₆), [N, 4, 4].
 
     A coefficient says how much larger the true disparity is than the measured one. That lowers
     u_r', and it moves the prediction f(T g(y)) through the depth.
@@ -25,7 +25,7 @@ def disparity_sensitivities(
         prev_px: observations in the previous frame, [N, 4], px.
         curr_px: those in the current frame.
         camera: the intrinsics.
-        sensitivity: the first four columns are filled in.
+        sensitivity: filled in.
     """
     for n in range(len(prev_px)):
         # e = y' − f(T g(y)): the previous disparity moves f(T g(y)), the current one u_r' = u_l' −

@@ -45,7 +45,7 @@ from probevo.measurements.base import (
 from probevo.measurements.north import NORTH
 from probevo.measurements.sensor import Reading
 
-GATE = 1e-4
+GATE_TAIL = 1e-4
 """Tail probability of an innovation beyond which it is rejected."""
 OFFSET_TAIL = 1e-5
 """Tail probability of an estimated offset beyond which the sensor is excluded. The offset also has
@@ -202,14 +202,14 @@ class SensorFusion:
         # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
         # look faulty, too. Their tests start afresh without it.
         worst = max(suspects, key=lambda suspect: suspect.ratio)
-        after = after.without(worst.sensor, worst.shows)
+        after = after.excluding(worst.sensor, worst.shows)
         outcomes[worst.sensor] = SensorOutcome(
             name=after.memories[worst.sensor].name, state="excluded", reason=worst.shows
         )
         return after, tuple(outcomes)
 
-    def without(self, index: int, reason: str) -> SensorFusion:
-        """Exclude a sensor: return the state as if it had never measured the pose."""
+    def excluding(self, index: int, reason: str) -> SensorFusion:
+        """Return the state as if a sensor had never measured the pose, and never will."""
         memories = []
         for at, memory in enumerate(self.memories):
             if at == index:
@@ -301,7 +301,7 @@ def _tested(
         if squared is not None and isinstance(measurement, VectorMeasurement):
             dim = len(measurement.covariance)
             weight = bounded_weight(squared, large_residual_threshold(dim))
-            if squared > chdtri(dim, GATE):
+            if squared > chdtri(dim, GATE_TAIL):
                 weight = 0.0
             else:
                 measurement = measurement.scaled(1.0 / weight)

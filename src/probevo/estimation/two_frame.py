@@ -48,6 +48,11 @@ class TwoFrameEstimate:
     """The errors of a given motion, of the rig's jitter and of the disparities, as far as all
     tracks have them in common; None if they are those of the solution alone."""
 
+    @property
+    def num_inliers(self) -> int:
+        """Tracks with a weight of at least one half."""
+        return int((self.weights >= INLIER_FROM).sum())
+
 
 class Estimator(Protocol):
     """Maps tracks, noise and the disparity filter to a motion and the updated filter; stateless."""
@@ -333,21 +338,20 @@ class _Alignment:
             )
         # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
         dof = np.maximum(noise.dof, LEAST_VARIANCE_DOF)
-        cov = noise.scale / (1.0 - 2.0 / dof)[:, None, None]
+        covariance_per_scale = 1.0 / (1.0 - 2.0 / dof)[:, None, None]
+        prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
         aligned = solve_alignment(
             tracks.prev_px,
-            tracks.curr_px,
-            cov,
-            cov_curr_px=cov,
+            tracks.curr_px - noise.bias,
+            covariance_per_scale * prev_scale,
+            cov_curr_px=covariance_per_scale * noise.scale,
             camera=camera,
             guess=guess,
             max_iterations=config.max_iterations,
         )
         # Evaluate residuals and weights in the image, so that statistics and reports mean the same
         # for both methods.
-        solution = solve_reprojection(
-            observations, guess=aligned.T_curr_prev, others=others, max_iterations=0
-        )
+        solution = solve_reprojection(observations, guess=aligned.T_curr_prev, max_iterations=0)
         return replace(
             solution,
             cov=aligned.cov,

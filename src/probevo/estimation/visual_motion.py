@@ -230,8 +230,8 @@ class VisualEstimator:
         self._config = config
         self._predicts_from_motion = predicts_from_motion
         self._scales_noise = has_assumed_scale(noise) and config.solver.noise_scale == "online"
-        # A window describes by itself how long the errors of aligned windows last, by a correlation
-        # of successive errors.
+        # The window estimator models the time correlation of aligned tracks itself, as an AR(1)
+        # process (``window.correlation``).
         self._drops_time_correlation = config.estimator == "window"
         # A window knows the landmarks of its frames itself, better than the filter does. The motion
         # of two frames is only where its adjustment starts.
@@ -346,7 +346,7 @@ class VisualEstimator:
             noise_factor=priors.noise_factor,
         )
         most_agree = are_enough(fitting.agree, self._config)
-        if num_trusted(estimate) >= self._config.solver.min_tracks:
+        if estimate.num_inliers >= self._config.solver.min_tracks:
             # There are inliers enough to determine the motion, but they understate the noise: the
             # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
             # all tracks, rather too much than too little.
@@ -428,7 +428,7 @@ class VisualEstimator:
         covariance is enlarged to what the residuals show.
         """
         fewest = max(self._config.solver.min_tracks, MIN_INLIER_SHARE * len(estimate.weights))
-        return self._config.solver.loss == "noise" and num_trusted(estimate) < fewest
+        return self._config.solver.loss == "noise" and estimate.num_inliers < fewest
 
     def _adapted_noise(
         self,
@@ -469,10 +469,20 @@ class VisualEstimator:
             phi: their predictors, [N, M].
             noise_factor: the factor.
         """
-        noise = self._noise.predict(phi)
+        return self._noise_by(self._noise, tracks, phi, noise_factor)
+
+    def _noise_by(
+        self, model: NoiseModel, tracks: Tracks, phi: FloatArray, noise_factor: float
+    ) -> StereoNoise:
+        """Return the noise of tracks by any noise model; see ``_predicted_noise``."""
+        noise = model.predict(phi)
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
-        return _as_corrected(noise, tracks, noise_factor)
+        if noise_factor != 1.0:
+            noise = noise.scaled(np.full(len(tracks), noise_factor))
+        if tracks.right_error_px is not None:
+            noise = noise.with_right_error(tracks.right_error_px)
+        return noise
 
     def _reference_motion(
         self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
@@ -489,8 +499,8 @@ class VisualEstimator:
         if the difference is significant.
         """
         solution = estimate.solution
-        equal = StudentT().predict(np.zeros((len(tracks), 0)))
-        equal = _as_corrected(equal, tracks, priors.noise_factor)
+        no_predictors = np.zeros((len(tracks), 0))
+        equal = self._noise_by(StudentT(), tracks, no_predictors, priors.noise_factor)
         plain = self._two_frame.solve(
             tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
@@ -507,21 +517,6 @@ class VisualEstimator:
             plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
         )[0]
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
-
-
-def _as_corrected(noise: StereoNoise, tracks: Tracks, noise_factor: float) -> StereoNoise:
-    """Return noise with its variances multiplied by a factor, and with what correcting the tracks
-    may have left."""
-    if noise_factor != 1.0:
-        noise = noise.scaled(np.full(len(tracks), noise_factor))
-    if tracks.right_error_px is not None:
-        noise = noise.with_right_error(tracks.right_error_px)
-    return noise
-
-
-def num_trusted(estimate: TwoFrameEstimate) -> int:
-    """Return the number of inliers among the tracks of a solve."""
-    return int((estimate.weights >= INLIER_FROM).sum())
 
 
 def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:

@@ -18,9 +18,8 @@ from probevo.evaluation.gyro_check import LAG, MOUNTING, SCALE, check_gyro
 from probevo.evaluation.row_check import DELAY, RowSamples, check_rows
 from probevo.geometry import se3
 from probevo.sequences.imu import ImuStream
-from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 
-GRAVITY_M_S2 = 9.81
 GRAVITY_SIGMA_M_S2 = 0.02
 """Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
 NUM_PARTS = 5
@@ -122,7 +121,7 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
     """
     width_px = (camera.size_px or (round(2.0 * camera.cu_px), 0))[0]
     x_edge = max(camera.cu_px, width_px - camera.cu_px) / camera.fu_px
-    sigma = np.sqrt(np.diag(rig.disparity_cov)[1:])
+    sigma = np.sqrt(np.diag(rig.image.disparity_cov))
     quantities = []
     for k, (name, factor) in enumerate(
         (("disparity, at the side", x_edge), ("disparity, bend", x_edge**2))
@@ -138,8 +137,8 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
 def _focal_quantity(error: FocalLengthError) -> Quantity:
     """Compare the focal length by images in which the camera turns with the calibrated one."""
     cure = (
-        f"where the camera turns, images show a focal length of {1.0 + 0.01 * error.percent:.4f} of"
-        " the calibrated one. It is wrong, or lens distortion remains, which can look like up to"
+        f"where the camera turns, images show {1.0 + 0.01 * error.percent:.4f} times the calibrated"
+        " focal length. It is wrong, or lens distortion remains, which can look like up to"
         " 4 %: the scale of a gyro decides."
     )
     z = error.log_ratio / error.sigma
@@ -184,8 +183,8 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
     scatter = float(np.sum((estimated - ratio * true) ** 2)) * count / (count - 1)
     sigma = float(np.hypot(max(np.sqrt(scatter) / float(true.sum()), 1e-12), dilution))
     cure = (
-        f"distances are {ratio:.4f} of the true ones. If the truth is right, divide baseline_m by"
-        f" {ratio:.4f}; a focal length that is too long makes distances ahead too long, too."
+        f"distances are {ratio:.4f} times the true ones. If the truth is right, divide baseline_m"
+        f" by {ratio:.4f}; a focal length that is too long makes distances ahead too long, too."
     )
     return Quantity(
         "scale against the truth",

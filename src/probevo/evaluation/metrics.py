@@ -105,7 +105,7 @@ def evaluate(
     if len(T_world_cam_est) != len(T_world_cam_true):
         raise InputError(
             "ground truth",
-            f"has {len(T_world_cam_true)} poses, the estimate has {len(T_world_cam_est)}",
+            f"has {len(T_world_cam_true)} poses, the estimate has {len(T_world_cam_est)}.",
             "Give one true pose a frame, NaN where it is unknown.",
         )
     # Frames whose true pose is known, [K]; one alone has no motion.

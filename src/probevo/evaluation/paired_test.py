@@ -21,7 +21,7 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.evaluation import segments
 from probevo.geometry import se3
 
-FIGURES = ("armse_m", "final_error_m", "short_t_percent", "short_r_deg_per_m")
+ERRORS = ("armse_m", "final_error_m", "short_t_percent", "short_r_deg_per_m")
 """Errors that are compared, by their names in ``Metrics``."""
 DRAWS = 999
 """Number of random exchanges; a p-value is then a multiple of 1/1000."""
@@ -80,7 +80,7 @@ def paired_differences(
     confidence: float = 0.95,
     draws: int = DRAWS,
 ) -> dict[str, PairedDifference]:
-    """Test for each of ``FIGURES`` whether two runs over N frames differ.
+    """Test for each of ``ERRORS`` whether two runs over N frames differ.
 
     Args:
         motions_a: motions T_curr_prev of run A, [N-1, 4, 4], m.

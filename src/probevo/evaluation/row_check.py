@@ -67,7 +67,7 @@ class RowSamples:
         back = so3.exp(-_MOMENT_S * rate_rad_s)
         before = transfer(corrected_px, se3.from_parts(back, np.zeros(3)), camera)
         row = 0.5 * (corrected_px[:, 1] + corrected_px[:, 3])
-        speed = (row - before.pixels[:, 1]) / _MOMENT_S
+        speed = (row - before[:, 1]) / _MOMENT_S
         known = np.isfinite(speed)
         return RowSamples(raw_px[known], speed[known], ids[known])
 

@@ -132,7 +132,7 @@ def check_transform(T: FloatArray, where: str | Path) -> FloatArray:
 
     Raises:
         InputError: it is no [4, 4] matrix of finite numbers, its last row is not 0 0 0 1, or its
-            rotation is none beyond rounding.
+            3×3 block is not a rotation up to rounding.
     """
     matrix = np.asarray(T)
     if matrix.shape != (4, 4) or matrix.dtype.kind not in "iuf":

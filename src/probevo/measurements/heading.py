@@ -70,7 +70,8 @@ class Heading(VectorMeasurement):
         of_pose[:, 3:] = of_ahead @ C_enu_cam @ so3.wedge(np.array([0.0, 0.0, 1.0]))
         if self.north is None:
             return (of_pose,)
-        # C_enu_world w, with w fixed, moves as −C_enu_world ∂(C_world_enu d) does, where d = it.
+        # d = C_enu_world w with w fixed: 0 = ∂C_world_enu d + C_world_enu ∂d, so that ∂d =
+        # −C_enu_world (∂C_world_enu) d.
         of_north = -of_ahead @ C_enu_world @ jacobian_of_enu(values[self.north], ahead)
         return of_pose, of_north
 

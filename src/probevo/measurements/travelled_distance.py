@@ -54,7 +54,10 @@ class TravelledDistance(RelativeMeasurement):
         return np.array([self.distance_m - self.axis @ self._position(values)])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of each pose, [1, 6]: ξ moves the position t by ρ + φ × t, or by −C ρ."""
+        """Return ∂e/∂ξ of each pose, [1, 6].
+
+        The position p moves by ρ + φ × p with ξ_prev, and by −C_prev_curr ρ with ξ_curr.
+        """
         # Position −Cᵀ t in the previous frame, with T_curr_prev = (C, t). ξ_curr: t moves by ρ +
         # φ × t and C by φ^ C, so that −Cᵀ t moves by −Cᵀ ρ. ξ_prev: it moves by ρ + φ × itself.
         C_prev_curr = self.motion(values)[:3, :3].T

@@ -231,10 +231,10 @@ def fit_fields(batches: Iterable[tuple[FloatArray, FloatArray]], ridge: float = 
     return FieldFit(mean[:, None, None], scale[:, None, None], linear)
 
 
-def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
+def ridge_fit(inputs: FloatArray, targets: FloatArray) -> LinearFit:
     """Return the ridge regression of targets, [N, o], on standardised inputs, [N, i]."""
     design = np.hstack([inputs, np.ones((len(inputs), 1))])
-    return _solved_ridge(design.T @ design, design.T @ targets, ridge=ridge * len(design))
+    return _solved_ridge(design.T @ design, design.T @ targets, ridge=RIDGE * len(design))
 
 
 def _solved_ridge(normal: FloatArray, right: FloatArray, *, ridge: float) -> LinearFit:

@@ -83,8 +83,13 @@ class StereoNoise:
         )
 
     def with_right_error(self, error_px: FloatArray) -> StereoNoise:
-        """Return the noise of features whose (u_r, v_r) have one more error of such a size in each
-        of the two frames, [N, 2], px."""
+        """Return the noise with one more error of (u_r, v_r) in each of the two frames.
+
+        It is independent between the frames, and fully correlated between u_r and v_r.
+
+        Args:
+            error_px: its standard deviation, [N, 2], px.
+        """
         observation = np.zeros((len(error_px), 4))
         observation[:, 2:] = error_px
         cov = np.einsum("ni,nj->nij", observation, observation)

@@ -86,9 +86,9 @@ def timing_warning(right_late_frames: int) -> str | None:
         return None
     late = "right" if right_late_frames > 0 else "left"
     when = "later" if right_late_frames > 0 else "earlier"
-    is_one = abs(right_late_frames) == 1
-    frames = "one frame" if is_one else f"{abs(right_late_frames)} frames"
-    first = f"the first {late} image" if is_one else f"the first {frames[0]} {late} images"
+    count = abs(right_late_frames)
+    frames = "one frame" if count == 1 else f"{count} frames"
+    first = f"the first {late} image" if count == 1 else f"the first {count} {late} images"
     return (
         f"The {late} images are {frames} late: the rows of a left image agree best with those of"
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"

@@ -121,11 +121,6 @@ def _seen_note(comparison: Comparison) -> tuple[str, ...]:
     return (f"Learned from recordings of the same names: {', '.join(seen)}.",) if seen else ()
 
 
-def trials_text(table: TrialTable) -> list[tuple[str, ...]]:
-    """Show head and rows as text, all errors of an estimator in one column."""
-    return table.as_table().text_rows()
-
-
 def trials_section(table: TrialTable) -> Markup:
     """Show the table as a section of a page."""
     marks = "Bold: the least of a row."

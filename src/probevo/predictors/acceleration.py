@@ -7,8 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.predictors.base import Needs, Predictor
 from probevo.sequences.frame import ImuSamples
-
-GRAVITY_M_S2 = 9.81
+from probevo.sequences.imu_calibration import GRAVITY_M_S2
 
 
 def acceleration(imu: ImuSamples) -> FloatArray:

@@ -65,8 +65,8 @@ class Agreement:
 
     @property
     def num_disjoint(self) -> float:
-        """Number of motions that count as independent: those over several frames overlap, and count
-        by so many less."""
+        """Number of independent motions: those over several frames overlap, so that their number is
+        divided by that of the frames."""
         return max(len(self.squared) / self.frames, 1.0)
 
     def share_inside(self, level: float) -> float:

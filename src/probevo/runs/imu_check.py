@@ -169,7 +169,7 @@ def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalib
     ]
     if min(by_lag) < 0.5 * disagreement:
         best_ms = 1e3 * LAGS_S[int(np.argmin(by_lag))]
-        return f"{what}half of that or less if its stamps were {best_ms:+.0f} ms later."
+        return f"{what}half of that or less with its stamps shifted by {best_ms:+.0f} ms."
 
     # An inverse mounting, or a negated gyro: that which agrees better, if one of them does.
     inverse = replace(calibration, T_cam_imu=se3.inverse(calibration.T_cam_imu))

@@ -87,7 +87,7 @@ def _entries(
         else:
             result = read_motions(as_path(run, "runs"))
         if len(result) < 2:
-            raise InputError("runs", f"number {k} has {len(result)} frames.", "Two are needed.")
+            raise InputError("runs", f"run {k + 1} has {len(result)} frames.", "Two are needed.")
         default = Path(run).resolve().name if isinstance(run, str | Path) else f"run {k + 1}"
         entries.append(Entry("", names[k] if names else default, result))
     if truth is None:

@@ -122,13 +122,13 @@ def _check_imu_samples(imu: ImuSamples, where: str) -> None:
         raise InputError(
             where, "its IMU samples are not in the order of their times.", "Sort them."
         )
-    for name, array in (("turn rates", imu.gyro_rad_s), ("specific forces", imu.accel_m_s2)):
+    for name, array in (("angular rates", imu.gyro_rad_s), ("specific forces", imu.accel_m_s2)):
         if np.shape(array) != (len(imu.stamps_ns), 3):
             what = f"{len(imu.stamps_ns)} IMU samples have {name} of shape {np.shape(array)}."
             raise InputError(where, what, "Give [N] and [N, 3], NaN where not recorded.")
     if not np.isfinite(imu.gyro_rad_s).all():
         raise InputError(
-            where, "an IMU sample of it has no finite turn rate.", "Leave that sample out."
+            where, "an IMU sample of it has no finite angular rate.", "Leave that sample out."
         )
 
 

@@ -15,12 +15,11 @@ import numpy as np
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
 from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
-from probevo.sequences.image_files import check_complete
+from probevo.sequences.image_files import JPEG_START, check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 from probevo.storage.files import check_regular
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".webp", ".bmp"})
-JPEG_MAGIC = b"\xff\xd8"
 JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of the segments (SOF) that give the size of an image; the three others are tables."""
 JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD9)})
@@ -225,14 +224,14 @@ def _claimed_size_px(data: bytes) -> tuple[int, int] | None:
         if len(header) < 16 or header[4:8] != b"IHDR":
             return None
         return int.from_bytes(header[8:12], "big"), int.from_bytes(header[12:16], "big")
-    if data.startswith(JPEG_MAGIC):
+    if data.startswith(JPEG_START):
         return _jpeg_size_px(data)
     return None
 
 
 def _jpeg_size_px(data: bytes) -> tuple[int, int] | None:
     """Return the (width, height) in the frame header (SOF) of a JPEG file; None without one."""
-    position = len(JPEG_MAGIC)
+    position = len(JPEG_START)
     while True:
         # A marker is 0xFF, any number of times, and a byte that is neither 0xFF nor 0.
         position = data.find(b"\xff", position)

@@ -10,6 +10,8 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 
+GRAVITY_M_S2 = 9.81
+"""Length of gravity; by where on the earth it is, it differs by 0.03."""
 ACCEL_NOISE_M_S2_SQRT_HZ = 3e-3
 """White noise of a consumer MEMS accelerometer. EuRoC's sensor.yaml gives 2.0e-3, TUM-VI's
 calibration 2.8e-3."""

@@ -32,20 +32,19 @@ _UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 
 
 @contextmanager
-def locked(folder: Path, option: str = "--out") -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder, and remove it afterwards, with the folders that it had to create.
 
     On a file system without locks, nothing is locked.
 
     Args:
         folder: the folder; created if it is missing, and removed again if it stays empty.
-        option: the flag that names the folder, for the message.
 
     Raises:
         InputError: another process, or another thread of this one, holds the lock: the message says
             which and since when; or the folder is not writable.
     """
-    check_folder(folder, option)
+    check_folder(folder, "--out")
     missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     path = folder / LOCK
     try:

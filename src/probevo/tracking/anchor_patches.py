@@ -45,8 +45,8 @@ class AlignedPatches(NamedTuple):
     patches: AnchorPatches
     """The patches with the maps found, and cut anew where the anchor does not hold any more."""
     cov_px2: FloatArray
-    """Covariance of the place by the scatter of the brightness, [N, 2, 2], px²; NaN where it
-    failed."""
+    """Covariance of the place by the scatter of the brightness, [N, 2, 2], px²; ∞ where image and
+    patch have nothing in common, NaN where the alignment failed."""
 
 
 @dataclass(frozen=True)

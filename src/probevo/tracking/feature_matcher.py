@@ -45,7 +45,7 @@ class FeatureMatcher:
             age=age[curr_rows],
             rejected={"not finite": int((~is_finite).sum())},
         )
-        # Whoever reads a recording has found out before, and names its file. Later frames may show
+        # Readers of recordings make this check earlier, and name the file. Later frames may show
         # nothing but points far away, whose disparities are noise.
         if frame.index == FRAMES_TO_SEE + 1:
             check_features(tracks, f"features of frame {frame.index}")

@@ -11,9 +11,6 @@ from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.tracking.tracks import Tracks
 
-LAST_RESIDUAL = "last_residual"
-"""Name of the predictor that uses these residuals."""
-
 
 @dataclass(frozen=True)
 class LastResiduals:
@@ -54,4 +51,4 @@ class LastResiduals:
 def _residual_sizes(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
     """Compute ‖y' − f(T g(y))‖ of each track, [N], px; NaN behind the camera."""
     predicted = transfer(tracks.prev_px, T_curr_prev, camera)
-    return np.asarray(np.linalg.norm(tracks.curr_px - predicted.pixels, axis=1), np.float64)
+    return np.asarray(np.linalg.norm(tracks.curr_px - predicted, axis=1), np.float64)

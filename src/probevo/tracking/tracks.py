@@ -1,7 +1,7 @@
 """Tracks: stereo observations of the same points in two frames, as the two-frame solve takes them.
 
-Everything left of them in the data flow may be absent (a tracks file has no images); everything
-right of them never sees an image.
+A tracks file has tracks but no images. The solve needs the tracks alone; some predictors need the
+images, too.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Tracks:
     the right image, [N, 2], grey levels. None if another front end has tracked the points."""
     alignment_cov_px2: FloatArray | None = None
     """Covariance of each place in the left and in the right image of the current frame, by how its
-    window matches the anchor patch, [N, 2, 2, 2], px²; None if another front end has tracked
-    the points."""
+    window matches the anchor patch, [N, 2, 2, 2], px²; ∞ where they have nothing in common. None
+    if another front end has tracked the points."""
     right_error_px: FloatArray | None = None
     """Error of (u_r, v_r) that a correction of them may have left, one standard deviation, [N, 2],
     px; None if nothing was corrected by a quantity that is itself uncertain in each frame."""

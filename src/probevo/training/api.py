@@ -167,11 +167,12 @@ def _train(
     # Standardise the prediction space over the features of all drives.
     moments = reduce(add, (fact.moments for fact in facts))
     metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
-    # What the model will say of its recordings; thinning where they have more than EM uses.
+    # Describe the recordings, for the model file.
     described = [
         {"name": name_as_text(source.path), "frames": source.num_frames, "sha256": fact.digest}
         for source, fact in zip(sources, facts, strict=True)
     ]
+    # Where there are more steps than a training without truth can use, take a share of them.
     if trainer.thins_steps and settings.supervision == "none":
         drives = thinned(drives, settings.odometry.seed, workers)
 
@@ -186,5 +187,5 @@ def _train(
         progress=progress,
         workers=workers,
     )
-    save_model(trainer(context), out)
+    save_model(trainer.learn(context), out)
     checkpoint.remove()

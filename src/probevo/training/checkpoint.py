@@ -145,7 +145,7 @@ class Checkpoint:
             arrays[f"features_{k}"] = features
             arrays[f"alphas_{k}"] = alphas
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays)
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
         write_atomically(self._iteration_path(number), buffer.getvalue())
 
     def em_model(self, number: int) -> LearnedNoiseModel | None:

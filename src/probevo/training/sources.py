@@ -157,9 +157,8 @@ def known_predictors(
     if settings.predictors is not None:
         return prediction_space(settings.predictors).predictors
     has_images = all(opened(recording).camera.size_px is not None for recording in recordings)
-    of_images = Needs.LEFT | Needs.PREVIOUS_LEFT
     return tuple(
         predictor
         for predictor in prediction_space(default).predictors
-        if has_images or not predictor.needs & of_images
+        if has_images or not predictor.needs & Needs.IMAGES
     )

@@ -199,7 +199,7 @@ class DriveOnDisk:
             name: np.asarray(value) for name, value in vars(supervision).items()
         }
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays)
+        np.savez(buffer, **arrays)
         write_atomically(path, buffer.getvalue())
 
     def _path(self, prefix: str, suffix: str) -> Path:

@@ -66,10 +66,6 @@ class Trainer:
     check: Callable[[TrainSettings], None] = _accept_all
     """Refuses combinations of its own settings with an InputError."""
 
-    def __call__(self, context: TrainingContext) -> LearnedNoiseModel:
-        """Learn a noise model from drives."""
-        return self.learn(context)
-
 
 def trainer_of(kind: str) -> Trainer:
     """Look up the trainer of a kind of noise model.

@@ -109,7 +109,7 @@ class Workers:
         if job.missing:
             raise InputError(
                 _listed([names[number] for number in job.missing]),
-                f"each time of {MOST_LOSSES}, the worker that had it to itself was lost.",
+                f"its worker was lost {MOST_LOSSES} times, though it ran nothing else.",
                 "Did the memory give out? The same command goes on from what is done.",
             )
         return [job.found[number] for number in range(len(tasks))]

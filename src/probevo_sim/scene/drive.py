@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.sequences.imu_calibration import GRAVITY_M_S2
 from probevo_sim.scene.pace import Pace
 from probevo_sim.scene.route import Route
 
 C_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera (x right, y down, z forward) to the body (x forward, y left, z up)."""
-GRAVITY_M_S2 = 9.81
 
 _KNOT_STEP_S = 0.05
 """Distance between the knots of the splines, or a little less."""
@@ -219,8 +219,11 @@ def _rotation(yaw_pitch_roll: FloatArray) -> FloatArray:
 def _speed_limit(route: Route, plan: DrivePlan, driven_m: FloatArray) -> FloatArray:
     """Return the cruising speed, or less where the lateral acceleration would be too high, m/s."""
     curvature = route.curvature(plan.start_m + driven_m)
-    path_curvature = np.abs(curvature * (1.0 - curvature * plan.lateral_m))
-    return np.minimum(plan.speed_m_s, np.sqrt(_LATERAL_M_S2 / np.maximum(path_curvature, 1e-9)))
+    # At speed v along the centre line, a path at lateral d is driven at v (1 − κ d) and has the
+    # curvature κ / (1 − κ d): its lateral acceleration is v² κ (1 − κ d).
+    per_speed_squared = np.abs(curvature * (1.0 - curvature * plan.lateral_m))
+    limit_m_s = np.sqrt(_LATERAL_M_S2 / np.maximum(per_speed_squared, 1e-9))
+    return np.minimum(plan.speed_m_s, limit_m_s)
 
 
 def _wander(

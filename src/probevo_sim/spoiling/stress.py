@@ -39,13 +39,13 @@ from probevo_sim.spoiling.recording import SpoiledRecording
 
 REGION = 0.9973
 """Probability of the region of a step's error that is counted, 3σ of a normal number."""
-CELLS = "runs"
+RUNS_FOLDER = "runs"
 """Folder of the finished runs, from which an interrupted command goes on."""
 _REGION_NEES = float(chdtri(6, 1.0 - REGION))
 
 
 @dataclass(frozen=True)
-class Cell:
+class StressRun:
     """One run on a spoiled version of the recording."""
 
     preset: StressPreset
@@ -173,8 +173,8 @@ def stress(
             it is OK; or the folder is not writable.
     """
     count = min(len(sequence), config.max_frames or len(sequence))
-    cells = _planned(sequence, count, settings, seed=config.seed)
-    total = count + sum(cell.num_frames for cell in cells)
+    runs = _planned(sequence, count, settings, seed=config.seed)
+    total = count + sum(run.num_frames for run in runs)
     done = 0
 
     def on_one() -> None:
@@ -192,27 +192,27 @@ def stress(
     errors: dict[tuple[str, float], list[StepErrors]] = {}
     pictures: dict[str, tuple[str, bytes]] = {}
     num_resumed = 0
-    for cell in cells:
-        file = out / CELLS / f"{cell.name}.json"
-        key = _fingerprint(clean, config, cell.recording.config)
-        picture = _Picture.of(cell) if cell.seed == config.seed else None
-        if picture is not None and cell.severity < max(settings.severities):
+    for run in runs:
+        file = out / RUNS_FOLDER / f"{run.name}.json"
+        key = _fingerprint(clean, config, run.recording.config)
+        picture = _Picture.of(run) if run.seed == config.seed else None
+        if picture is not None and run.severity < max(settings.severities):
             picture = None
-        picture_file = out / CELLS / f"{cell.name}.jpg"
+        picture_file = out / RUNS_FOLDER / f"{run.name}.jpg"
         found = _finished(file, key)
         if found is not None and (picture is None or picture_file.is_file()):
             num_resumed += 1
-            done += cell.num_frames
+            done += run.num_frames
             on_frame(done, total)
         else:
-            recorder = _run(cell.recording, cell.num_frames, config, on_one=on_one, look=picture)
-            found = step_errors(clean, recorder.result(), _kept(cell))
+            recorder = _run(run.recording, run.num_frames, config, on_one=on_one, look=picture)
+            found = step_errors(clean, recorder.result(), _kept(run))
             if picture is not None:
                 write_atomically(picture_file, picture.jpeg)
             write_atomically(file, json.dumps({"key": key, "steps": asdict(found)}) + "\n")
         if picture is not None:
-            pictures[cell.preset] = (picture.caption, picture_file.read_bytes())
-        errors.setdefault((cell.preset, cell.severity), []).append(found)
+            pictures[run.preset] = (picture.caption, picture_file.read_bytes())
+        errors.setdefault((run.preset, run.severity), []).append(found)
     variances = np.diagonal(clean.cov[is_ok], axis1=1, axis2=2)
     return Stress(
         figures=tuple(
@@ -221,7 +221,7 @@ def stress(
         clean_ok=float(is_ok.mean()),
         clean_sigma_m=float(np.sqrt(variances[:, :3].sum(axis=1).mean())),
         clean_sigma_rad=float(np.sqrt(variances[:, 3:].sum(axis=1).mean())),
-        num_runs=len(cells),
+        num_runs=len(runs),
         num_resumed=num_resumed,
         pictures=tuple(pictures.values()),
     )
@@ -308,18 +308,18 @@ class _Picture:
     jpeg: bytes = b""
 
     @staticmethod
-    def of(cell: Cell) -> _Picture | None:
+    def of(run: StressRun) -> _Picture | None:
         """Choose the frame; None if no image is changed."""
-        shown = [plan for plan in cell.recording.plans if plan.effect != "dropped"]
+        shown = [plan for plan in run.recording.plans if plan.effect != "dropped"]
         amounts = [
             plan.amount if plan.effect not in (None, "frozen") else 0.0
-            for plan in shown[1 : cell.num_frames]
+            for plan in shown[1 : run.num_frames]
         ]
         if not amounts or max(amounts) == 0.0:
             return None
         number = 1 + int(np.argmax(amounts))
         effect = str(shown[number].effect).replace("_", " ")
-        return _Picture(number, f"{cell.preset}: {effect}, severity {cell.severity:g}")
+        return _Picture(number, f"{run.preset}: {effect}, severity {run.severity:g}")
 
     def take(self, left: Image, odometry: StereoOdometry) -> None:
         """Draw the tracks of the step that has just been made."""
@@ -327,24 +327,24 @@ class _Picture:
         self.jpeg = draw_tracks(left, tracks.prev_px, tracks.curr_px, weights=odometry.weights)
 
 
-def _planned(sequence: Sequence, count: int, settings: StressConfig, seed: int) -> list[Cell]:
+def _planned(sequence: Sequence, count: int, settings: StressConfig, seed: int) -> list[StressRun]:
     """Return all runs on the spoiled versions of the first ``count`` frames."""
-    cells = []
+    runs = []
     for preset in settings.presets:
         for severity in settings.severities:
             for own_seed in range(seed, seed + settings.repeats):
                 spoiling = settings.spoiling(preset, severity, own_seed)
                 recording = SpoiledRecording.of(sequence, spoiling)
                 num_frames = sum(plan.effect != "dropped" for plan in recording.plans[:count])
-                cells.append(Cell(preset, severity, own_seed, recording, num_frames))
-    return cells
+                runs.append(StressRun(preset, severity, own_seed, recording, num_frames))
+    return runs
 
 
-def _kept(cell: Cell) -> IntArray:
+def _kept(run: StressRun) -> IntArray:
     """Return the numbers of the frames that are not dropped, as far as the run goes, [M]."""
-    plans = cell.recording.plans
+    plans = run.recording.plans
     kept = [index for index, plan in enumerate(plans) if plan.effect != "dropped"]
-    return np.array(kept[: cell.num_frames])
+    return np.array(kept[: run.num_frames])
 
 
 def _run(

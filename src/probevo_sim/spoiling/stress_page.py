@@ -90,7 +90,7 @@ def stress_notes(stress: Stress) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ErrorPart:
     """A part of the error of a step, and how it is drawn."""
 
     label: str
@@ -102,14 +102,14 @@ class Quantity:
     """What is claimed on the clean images."""
 
 
-TRANSLATION = Quantity(
+TRANSLATION = ErrorPart(
     label="translation, mm",
     factor=1e3,
     error=lambda figures: figures.translation_m,
     claim=lambda figures: figures.translation_sigma_m,
     clean=lambda stress: stress.clean_sigma_m,
 )
-ROTATION = Quantity(
+ROTATION = ErrorPart(
     label="rotation, °",
     factor=_IN_DEG,
     error=lambda figures: figures.rotation_rad,
@@ -118,19 +118,17 @@ ROTATION = Quantity(
 )
 
 
-def errors_figure(
-    stress: Stress, quantities: Sequence[Quantity] = (TRANSLATION, ROTATION)
-) -> Figure:
+def errors_figure(stress: Stress, parts: Sequence[ErrorPart] = (TRANSLATION, ROTATION)) -> Figure:
     """Draw the error of a step and its claimed σ against the severity: a row for each preset, a
-    column for each quantity."""
+    column for each part."""
     num_rows = len(stress.presets)
-    figure = Figure(figsize=(WIDTH_IN * len(quantities), 0.7 + 1.5 * num_rows))
-    grid = figure.subplots(num_rows, len(quantities), sharex=True, sharey="col", squeeze=False)
+    figure = Figure(figsize=(WIDTH_IN * len(parts), 0.7 + 1.5 * num_rows))
+    grid = figure.subplots(num_rows, len(parts), sharex=True, sharey="col", squeeze=False)
     for row, preset in zip(grid, stress.presets, strict=True):
         found = [each for each in stress.of(preset) if each.num_ok]
-        for axes, quantity in zip(row, quantities, strict=True):
-            _draw_errors(axes, found, quantity, clean=quantity.clean(stress))
-            axes.set_title(f"{preset}: {quantity.label}")
+        for axes, part in zip(row, parts, strict=True):
+            _draw_errors(axes, found, part, clean=part.clean(stress))
+            axes.set_title(f"{preset}: {part.label}")
     for axes in grid[-1]:
         axes.set(xlabel="severity")
         _set_log_ticks(axes)
@@ -171,7 +169,7 @@ def write_stress_page(path: Path, stress: Stress, title: str, facts: Mapping[str
             "RMS of the steps that are OK, against the run on the clean images. The dashed σ is"
             " that of both runs together; where the error lies above it, the claim is"
             " overconfident.",
-            [errors_figure(stress, [quantity]) for quantity in (TRANSLATION, ROTATION)],
+            [errors_figure(stress, [part]) for part in (TRANSLATION, ROTATION)],
         )
         shares = row_panel(
             "Steps that are lost, and steps that are wrong",
@@ -210,15 +208,15 @@ def write_picture(path: Path, stress: Stress) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _draw_errors(axes: Axes, found: Sequence[Figures], quantity: Quantity, *, clean: float) -> None:
+def _draw_errors(axes: Axes, found: Sequence[Figures], part: ErrorPart, *, clean: float) -> None:
     """Draw errors and claims of one preset, and what is claimed on the clean images."""
     severities = [each.severity for each in found]
-    errors = [quantity.factor * (quantity.error(each) or 0.0) for each in found]
-    claims = [quantity.factor * (quantity.claim(each) or 0.0) for each in found]
+    errors = [part.factor * (part.error(each) or 0.0) for each in found]
+    claims = [part.factor * (part.claim(each) or 0.0) for each in found]
     axes.plot(severities, errors, "o-", color=BLUE, ms=4, label="error")
     axes.plot(severities, claims, "s--", color=ORANGE, ms=3.5, label="claimed σ, both runs")
     axes.axhline(
-        quantity.factor * clean, color=GREY, lw=0.9, ls=":", label="claimed σ, clean images alone"
+        part.factor * clean, color=GREY, lw=0.9, ls=":", label="claimed σ, clean images alone"
     )
     axes.set(yscale="log", xlim=(0.0, 1.05))
 

@@ -18,7 +18,7 @@ from probevo.output.comparison.comparison import (
     Comparison,
     Entry,
     column_notes,
-    comparison_rows,
+    comparison_table,
     distinct_labels,
     numbered,
     truth_note,
@@ -88,7 +88,7 @@ def test_estimators_are_grouped_by_sequence_in_one_order(entries: tuple[Entry, E
     comparison = Comparison(
         (first, second, replace(second, sequence="dale"), replace(first, sequence="dale"))
     )
-    names = [row[0] for row in comparison_rows(comparison)]
+    names = [row[0] for row in comparison_table(comparison).text_rows()]
     assert names == [
         "estimator",
         "hill",
@@ -105,13 +105,13 @@ def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunRe
         30, armse_m=0.12345, final_error_m=2.0, short_t_percent=1.5, short_r_deg_per_m=0.01
     )
     run = replace(make_run(4), total_ms=np.array([7.0, 8.0, 100.0]))
-    rows = comparison_rows(Comparison((Entry("hill", "fixed", run, metrics=metrics),)))
+    rows = comparison_table(Comparison((Entry("hill", "fixed", run, metrics=metrics),))).text_rows()
     assert rows[0] == ("estimator", *HEADS, "solved %")
     assert rows[2] == ("  fixed", "0.123", "2.00", "1.50", "0.0100", "8.00", "100")
 
 
 def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None:
-    rows = comparison_rows(Comparison((Entry("hill", "fixed", make_run(1)),)))
+    rows = comparison_table(Comparison((Entry("hill", "fixed", make_run(1)),))).text_rows()
     assert rows[2] == ("  fixed", "–", "–", "–", "–", "–")
 
 
@@ -120,7 +120,7 @@ def test_out_of_domain_features_have_a_column_where_a_model_has_a_domain(
 ) -> None:
     home = entries[0]
     abroad = replace(entries[1], result=make_run(30, outside=25))
-    head, _, first, second = comparison_rows(Comparison((home, abroad)))
+    head, _, first, second = comparison_table(Comparison((home, abroad))).text_rows()
     assert head == ("estimator", *HEADS, "solved %", "out of domain %")
     assert (first[-1], second[-1]) == ("–", "25.0")
     assert "Out of domain" in column_notes(Comparison((home, abroad)))[-1]
@@ -193,7 +193,7 @@ def test_who_has_seen_the_recording_is_marked_and_never_the_best(
     page = page_of(seen, tmp_path)
     assert "fixed †</th>" in page
     assert [any(best for _, best in row) for row in cells_of(page)] == [False, False, True]
-    assert [row[0] for row in comparison_rows(seen)] == [
+    assert [row[0] for row in comparison_table(seen).text_rows()] == [
         "estimator",
         "hill",
         "  fixed †",
@@ -210,7 +210,7 @@ def test_steps_that_were_not_solved_and_honesty_are_seen(
     run = make_run(5)
     status = np.array([Status.NOT_CONVERGED, Status.OK, Status.OK, Status.GAP])  # of its four steps
     blind = Entry("hill", "fixed", replace(run, status=status), metrics=Metrics(5, anees=7.25))
-    head, _, row = comparison_rows(Comparison((blind,)))
+    head, _, row = comparison_table(Comparison((blind,))).text_rows()
     assert head[-2:] == ("solved %", "ANEES")
     assert row[-2:] == ("50.0", "7.25")
 

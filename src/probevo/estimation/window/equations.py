@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.transfer_numba import Intrinsics
 
 POSE = 6
 """Degrees of freedom of a pose."""
@@ -34,8 +35,7 @@ class WindowGeometry(NamedTuple):
     """ω of each frame, [K, 3], rad."""
     rig: FloatArray
     """(b₀, b₁, b₂) in px and κ, [4]."""
-    intrinsics: FloatArray
-    """(f_u, f_v, c_u, c_v) in px and the baseline in m, [5]."""
+    camera: Intrinsics
 
 
 class WindowObservations(NamedTuple):

@@ -32,6 +32,7 @@ from probevo.camera.rig_calibration import (
     disparity_basis,
 )
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
@@ -129,9 +130,7 @@ class WindowEstimator:
         self._noise = RobustNoise(loss=int(self._loss.kind), correlation=config.window.correlation)
         rig_sigma = RIG_SIGMA if config.self_calibration else FLAWLESS * RIG_SIGMA
         self._rig_information = np.diag(rig_sigma**-2.0)
-        self._intrinsics = np.array(
-            [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m]
-        )
+        self._intrinsics = Intrinsics.of(camera)
 
     def with_step(
         self,
@@ -364,8 +363,8 @@ class WindowEstimator:
             window: K frames.
             frame: index of the new one.
             T_curr_prev: a guess of the motion from the previous frame, [4, 4].
-            tracks: N tracks between these two frames; rows corrected by the rig's calibration,
-                disparities not.
+            tracks: N tracks between these two frames, corrected by the rig's calibration but for
+                b₁ and b₂.
             noise: of these N tracks.
             prev: place of the previous frame, which is the last one unless those after it are
                 blind.
@@ -571,7 +570,7 @@ class WindowEstimator:
             T_linear=window.T_linear,
             jitter=window.jitter,
             rig=window.rig,
-            intrinsics=self._intrinsics,
+            camera=self._intrinsics,
         )
 
     def _system(self, window: Window) -> _System:

@@ -1,4 +1,4 @@
-"""The IMU of a window: from the first samples, over the test against the images, to its states.
+"""The IMU of a window: from the first samples, via the test against the images, to its states.
 
 An IMU never makes the path worse than the images alone: it is tested before it is used, each of
 its factors is gated by the motion that two frames show by themselves, and one that contradicts the
@@ -63,12 +63,12 @@ LARGEST_EXCESS = 4.0
 may be noisier than they say."""
 LARGEST_NOISE_FACTOR = 16.0
 """Largest factor of the samples' variances: four times the standard deviation of the data sheet."""
-GATE = 22.5
+FACTOR_GATE = 22.5
 """Squared Mahalanobis distance, of six dimensions, beyond which a factor counts for little:
 99.9 %."""
 NUM_TESTED = 20
 """Last factors over which the noise is estimated, and those beyond the gate are counted."""
-FEWEST_TESTED = 8
+FEWEST_INNOVATIONS = 8
 """Least number of them that says how large the noise is."""
 MOST_GATED = 6
 """So many of them beyond the gate, and the IMU is left out."""
@@ -160,7 +160,7 @@ class Inertial:
     def excess(self) -> float:
         """By how much the covariances of the last innovations, with ``noise_factor``, are still too
         small in the median; 1 if they are right."""
-        if len(self.innovations) < FEWEST_TESTED:
+        if len(self.innovations) < FEWEST_INNOVATIONS:
             return 1.0
         return median_excess(self.innovations, self.noise_factor)
 
@@ -190,7 +190,7 @@ class Inertial:
         """Return the IMU with one more innovation, and the noise that the last of them show."""
         innovations = (*self.innovations[1 - NUM_TESTED :], innovation)
         noise_factor = self.noise_factor
-        if len(innovations) >= FEWEST_TESTED:
+        if len(innovations) >= FEWEST_INNOVATIONS:
             noise_factor = estimated_noise_factor(innovations, largest=LARGEST_NOISE_FACTOR)
         return replace(
             self,
@@ -330,7 +330,7 @@ def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Windo
         prediction.cov_of_samples / noise_factor,
     )
     squared = innovation.squared_distance(noise_factor)
-    is_gated = squared > GATE
+    is_gated = squared > FACTOR_GATE
     inertial = inertial.tested(innovation, is_gated=is_gated)
     # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:

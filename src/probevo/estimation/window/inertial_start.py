@@ -16,7 +16,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.inertial_states import (
-    GRAVITY_M_S2,
     STATE,
     InertialStates,
     at_start,
@@ -25,7 +24,7 @@ from probevo.estimation.window.inertial_states import (
 )
 from probevo.estimation.window.window import Window
 from probevo.measurements.preintegration import Preintegration
-from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 
 GRAVITY_TOLERANCE_M_S2 = 0.3
 """By how much gravity may differ from its length beyond 3σ: scale errors of 2 %, and a little."""

@@ -23,10 +23,8 @@ from probevo.estimation.window.equations import POSE, RIG, WindowEquations
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
-from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 
-GRAVITY_M_S2 = 9.81
-"""Its length; by where on the earth it is, it differs by 0.03, which counts as bias."""
 GRAVITY = 2
 """Dimensions of the direction of gravity."""
 STATE = 9

@@ -27,7 +27,7 @@ from probevo.estimation.window.equations import (
     WindowEquations,
 )
 from probevo.estimation.window.landmark_track_numba import (
-    COMMON,
+    COMMON_COLUMNS,
     LinearizedTrack,
     WindowProblem,
     share_of_own,
@@ -74,14 +74,14 @@ def add_common(
     common[:] = 0.0
     for k in range(count):
         z = track.innovation[k]
-        for i in range(COMMON):
+        for i in range(COMMON_COLUMNS):
             z0 = z[0, i]
             z1 = z[1, i]
             z2 = z[2, i]
             z3 = z[3, i]
-            for j in range(COMMON):
+            for j in range(COMMON_COLUMNS):
                 common[i, j] += z0 * z[0, j] + z1 * z[1, j] + z2 * z[2, j] + z3 * z[3, j]
-    error = COMMON - 1
+    error = COMMON_COLUMNS - 1
     # The prior of the time-correlated error, δ ~ N(0, τ²).
     prior = problem.landmarks.error_information[row]
     common[3, 3] += prior
@@ -132,8 +132,8 @@ def add_motions(
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
     correlation = problem.noise.correlation
-    # Blocks of Σ⁻¹ (above): s_k² + ρ²/(1 + ρ) on the diagonal, the last one without the second
-    # term, and −ρ/(1 + ρ) beside it.
+    # Blocks of Σ⁻¹ (``landmark_track_numba``): s_k² + ρ²/(1 + ρ) on the diagonal, the last one
+    # without the second term, and −ρ/(1 + ρ) beside it.
     from_next = correlation * correlation / (1.0 + correlation)
     off_diagonal = -correlation / (1.0 + correlation)
     for k in range(count):
@@ -148,7 +148,7 @@ def add_motions(
                 factors[n, j] = trust.curvature * diagonal * white[n, j]
             for j in range(RIG):
                 factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
-            factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, COMMON - 1]
+            factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, COMMON_COLUMNS - 1]
         # With the observation before, −ρ/(1 + ρ) times the white columns of both: in the sums, if
         # that is of the frame before.
         slot = problem.observations.slot[first + k]

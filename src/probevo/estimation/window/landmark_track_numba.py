@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.transfer_numba import Intrinsics
 from probevo.compiled import compiled, compiled_into_callers
 from probevo.estimation.window.equations import (
     FRAME,
@@ -48,6 +49,7 @@ from probevo.estimation.window.equations import (
     WindowLandmarks,
     WindowObservations,
 )
+from probevo.geometry.se3_numba import adjoints
 
 # The columns of a linearised observation: ζ = (ξ_ka, ω_k) of its frame, the landmark, the rig, and
 # the error.
@@ -57,7 +59,7 @@ _RIG = FRAME + LANDMARK
 """The first column of the rig in a linearised observation."""
 _ERROR = _RIG + RIG
 """The column of the error in a linearised observation."""
-COMMON = LANDMARK + RIG + 1
+COMMON_COLUMNS = LANDMARK + RIG + 1
 """Columns of the states that all observations of a landmark have in common, and of the error."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
@@ -109,13 +111,17 @@ def window_problem(
     noise: RobustNoise,
 ) -> WindowProblem:
     """Return what all landmarks need, with the motions between all pairs of frames."""
+    count = len(geometry.T_cam_world)
+    T_linear = _relative_poses(geometry.T_linear)
+    adjoint = np.zeros((count, count, POSE, POSE))
+    adjoints(T_linear.reshape(-1, 4, 4), adjoint.reshape(-1, POSE, POSE))
     return WindowProblem(
         geometry=geometry,
         observations=observations,
         landmarks=landmarks,
         noise=noise,
         T_ka=_relative_poses(geometry.T_cam_world),
-        adjoints=_adjoints(_relative_poses(geometry.T_linear)),
+        adjoints=adjoint,
     )
 
 
@@ -126,9 +132,9 @@ def empty_track(num_frames: int) -> LinearizedTrack:
         ray=np.zeros(3),
         raw=np.zeros((num_frames, PIXELS, _COLUMNS)),
         white=np.zeros((num_frames, PIXELS, _COLUMNS)),
-        innovation=np.zeros((num_frames, PIXELS, COMMON)),
-        weighted=np.zeros((num_frames, PIXELS, COMMON)),
-        common=np.zeros((COMMON, COMMON)),
+        innovation=np.zeros((num_frames, PIXELS, COMMON_COLUMNS)),
+        weighted=np.zeros((num_frames, PIXELS, COMMON_COLUMNS)),
+        common=np.zeros((COMMON_COLUMNS, COMMON_COLUMNS)),
     )
 
 
@@ -152,27 +158,6 @@ def _relative_poses(T_cam_world: FloatArray) -> FloatArray:
     return relative
 
 
-@compiled
-def _adjoints(T: FloatArray) -> FloatArray:
-    """Return Ad(T) = [[C, t^ C], [0, C]] of motions, [K, K, 4, 4] to [K, K, 6, 6]."""
-    count = len(T)
-    adjoints = np.zeros((count, count, POSE, POSE))
-    for k in range(count):
-        for a in range(count):
-            T_ka = T[k, a]
-            adjoint = adjoints[k, a]
-            x = T_ka[0, 3]
-            y = T_ka[1, 3]
-            z = T_ka[2, 3]
-            for j in range(3):
-                for i in range(3):
-                    adjoint[i, j] = adjoint[3 + i, 3 + j] = T_ka[i, j]
-                adjoint[0, 3 + j] = y * T_ka[2, j] - z * T_ka[1, j]
-                adjoint[1, 3 + j] = z * T_ka[0, j] - x * T_ka[2, j]
-                adjoint[2, 3 + j] = x * T_ka[1, j] - y * T_ka[0, j]
-    return adjoints
-
-
 @compiled_into_callers
 def linearize_track(row: int, problem: WindowProblem, track: LinearizedTrack) -> float:
     """Fill the linearised observations of a landmark and their innovations.
@@ -187,7 +172,7 @@ def linearize_track(row: int, problem: WindowProblem, track: LinearizedTrack) ->
     """
     observations = problem.observations
     state = problem.landmarks.state[row]
-    intrinsics = problem.geometry.intrinsics
+    camera = problem.geometry.camera
     # Observation m = first + k of the window is the k-th of this landmark, k = 0 that of its
     # anchor.
     first = observations.start[row]
@@ -205,7 +190,7 @@ def linearize_track(row: int, problem: WindowProblem, track: LinearizedTrack) ->
             total += BEHIND_CAMERA
             white[:] = 0.0
             continue
-        _linearize(state, T_ka, intrinsics, k == 0, ray=track.ray, raw=track.raw[k])
+        _linearize(state, T_ka, camera, k == 0, ray=track.ray, raw=track.raw[k])
         _fill_errors(
             state,
             problem.geometry,
@@ -218,7 +203,7 @@ def linearize_track(row: int, problem: WindowProblem, track: LinearizedTrack) ->
     # All of them together: the squared length of the innovations.
     _fill_innovations(count, problem.noise.correlation, track)
     # The last common column is the error, so that this sums eᵀ Σ⁻¹ e.
-    last = COMMON - 1
+    last = COMMON_COLUMNS - 1
     for k in range(count):
         for n in range(PIXELS):
             total += track.innovation[k, n, last] * track.innovation[k, n, last]
@@ -230,12 +215,12 @@ def _project(
     state: FloatArray, T_ka: FloatArray, geometry: WindowGeometry, ray: FloatArray
 ) -> bool:
     """Fill the direction to a landmark in a frame; False if it is behind the camera."""
-    intrinsics = geometry.intrinsics
+    camera = geometry.camera
     # h = C_ka m + λ t_ka, with λ = d/(f_u b): the point in frame k, over its depth in the anchor
     # frame. So h_z is the ratio of the depths in both frames.
-    mx = (state[0] - intrinsics[2]) / intrinsics[0]
-    my = (state[1] - intrinsics[3]) / intrinsics[1]
-    inverse_depth = state[2] / (intrinsics[0] * intrinsics[4])
+    mx = (state[0] - camera.cu) / camera.fu
+    my = (state[1] - camera.cv) / camera.fv
+    inverse_depth = state[2] / camera.fb
     for i in range(3):
         ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
     return bool(ray[2] > LEAST_DEPTH)
@@ -245,7 +230,7 @@ def _project(
 def _linearize(
     state: FloatArray,
     T_ka: FloatArray,
-    intrinsics: FloatArray,
+    camera: Intrinsics,
     is_anchor: bool,
     ray: FloatArray,
     raw: FloatArray,
@@ -255,11 +240,11 @@ def _linearize(
     Only entries that are not always zero are written. The first observation of every track is that
     of the anchor, so that the columns of ξ_ka remain zero there.
     """
-    fu = intrinsics[0]
-    fv = intrinsics[1]
+    fu = camera.fu
+    fv = camera.fv
     per_u = 1.0 / fu
     per_v = 1.0 / fv
-    per_disparity = per_u / intrinsics[4]
+    per_disparity = 1.0 / camera.fb
     disparity = state[2]
     inverse_depth = disparity * per_disparity
     hx = ray[0]
@@ -345,17 +330,15 @@ def _fill_errors(
     raw: FloatArray,
 ) -> None:
     """Fill the errors of an observation, measured minus predicted, px; the Jacobians are filled."""
-    fu = geometry.intrinsics[0]
-    fv = geometry.intrinsics[1]
-    cu = geometry.intrinsics[2]
-    cv = geometry.intrinsics[3]
+    fu = geometry.camera.fu
+    fv = geometry.camera.fv
     # The rectified camera without any errors: normalised (x, y), disparity d/h_z, and pixels.
     per_depth = 1.0 / ray[2]
     x = ray[0] * per_depth
     y = ray[1] * per_depth
     disparity = state[2] * per_depth
-    u = fu * x + cu
-    v = fv * y + cv
+    u = fu * x + geometry.camera.cu
+    v = fv * y + geometry.camera.cv
     u_r = u - disparity
     # β(x)ᵀ b is true minus measured disparity: it makes the measured one smaller, and u_r larger.
     rig = geometry.rig
@@ -402,21 +385,21 @@ def _fill_innovations(count: int, correlation: float, track: LinearizedTrack) ->
     for k in range(count):
         own = share_of_own(k, correlation)
         for n in range(PIXELS):
-            for j in range(COMMON):
+            for j in range(COMMON_COLUMNS):
                 track.innovation[k, n, j] = own * track.white[k, n, FRAME + j]
         if k > 0:
             for n in range(PIXELS):
-                for j in range(COMMON):
+                for j in range(COMMON_COLUMNS):
                     track.innovation[k, n, j] += of_neighbour * track.white[k - 1, n, FRAME + j]
     # The transposed map, since aᵀ Σ⁻¹ b = (L a)ᵀ (L b) for the map L to innovations.
     for k in range(count):
         own = share_of_own(k, correlation)
         for n in range(PIXELS):
-            for j in range(COMMON):
+            for j in range(COMMON_COLUMNS):
                 track.weighted[k, n, j] = own * track.innovation[k, n, j]
         if k + 1 < count:
             for n in range(PIXELS):
-                for j in range(COMMON):
+                for j in range(COMMON_COLUMNS):
                     track.weighted[k, n, j] += of_neighbour * track.innovation[k + 1, n, j]
 
 

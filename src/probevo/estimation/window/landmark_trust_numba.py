@@ -27,7 +27,7 @@ from probevo.arrays import FloatArray
 from probevo.compiled import compiled_into_callers
 from probevo.estimation.window.equations import LANDMARK, PIXELS, WindowObservations
 from probevo.estimation.window.landmark_track_numba import (
-    COMMON,
+    COMMON_COLUMNS,
     LinearizedTrack,
     WindowProblem,
     share_of_own,
@@ -139,7 +139,7 @@ def velocity_squared(
     count = observations.start[row + 1] - first
     correlation = problem.noise.correlation
     of_neighbour = -correlation / math.sqrt(1.0 + correlation)
-    error = COMMON - 1
+    error = COMMON_COLUMNS - 1
     equations[:] = 0.0
     tested = np.empty(TESTED + 1)
     for k in range(count):

@@ -61,7 +61,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     curr_after = after.pose(last).cov
     T_relative, relative_cov = after.relative(last, last - 1)
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
-    # What it has taught of the lenses' distortion removes nothing from that pose.
+    # What the step has shown of the lenses' distortion removes nothing from that pose.
     cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
     position_variance = np.diagonal(prev_before)[:3].max()
     step_variance = np.diagonal(relative_cov)[:3].max()

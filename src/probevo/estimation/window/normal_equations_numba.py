@@ -46,7 +46,7 @@ from probevo.estimation.window.landmark_trust_numba import (
     velocity_squared,
 )
 
-FEWEST_TESTED = 3
+FEWEST_OBSERVATIONS = 3
 """Observations of a landmark that is tested: two of them show nothing but one velocity."""
 LARGEST_SHIFT_PX = 30.0
 """No landmark lies farther than this from where its anchor frame has seen it. Where observations
@@ -133,7 +133,7 @@ def static_weights(
     weights = landmarks.static_weight.copy()
     for row in range(len(weights)):
         count = observations.start[row + 1] - observations.start[row]
-        if count >= FEWEST_TESTED:
+        if count >= FEWEST_OBSERVATIONS:
             error = landmarks.state[row, 3]
             total = linearize_track(row, problem, track)
             total += landmarks.error_information[row] * error * error

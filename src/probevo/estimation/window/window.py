@@ -1,8 +1,8 @@
 """A sliding window: the last frames, their landmarks and their joint covariance, as one value.
 
-Its world is the first camera of the recording. That first pose is held by a prior, so that what the
-frames that left the window have taught is a proper prior of those that remain, and the covariances
-of poses are absolute: they grow along the path.
+Its world is the first camera of the recording. That first pose is held by a prior, so that the
+information of the frames that left the window is a proper prior of those that remain, and the
+covariances of poses are absolute: they grow along the path.
 """
 
 from __future__ import annotations

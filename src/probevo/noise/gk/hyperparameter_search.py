@@ -92,7 +92,7 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             )
         if name in ("neighbors", "centers", "prior_counts") and not np.isfinite(value):
             raise InputError(
-                where, f"{name} is {value}, which is not a number.", "Leave it to be chosen."
+                where, f"{name} is {value}, which is not finite.", "Leave it to be chosen."
             )
         if name in ("neighbors", "centers") and int(value) != value:
             raise InputError(where, f"{name} is {value}, which is not a whole number.", "Round it.")

@@ -76,7 +76,7 @@ class NearestNeighbors:
 
     @property
     def scale_is_assumed(self) -> bool:
-        """Whether the scale of the static model is assumed; β tells features from each other."""
+        """Whether the scale of the static model is assumed; β is only relative between features."""
         return has_assumed_scale(self.base)
 
     def fit(

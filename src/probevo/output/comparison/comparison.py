@@ -15,6 +15,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
+from probevo.evaluation.paired_test import ERRORS
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.comparison.significance import Ranking, rank, verdict
 from probevo.output.run_result import RunResult
@@ -28,10 +29,8 @@ FIGURES = (
     Column("rotation", "°/m"),
     Column("ms/frame"),
 )
-"""Figures of merit; less is better. Drift and rotation are those over segments of 10 to 50 m."""
-ERRORS = ("armse_m", "final_error_m", "short_t_percent", "short_r_deg_per_m")
-"""Names in ``Metrics`` of the figures of merit that are errors: all but the last, the time, which
-differs from run to run and is never marked as the best."""
+"""Figures of merit; less is better: the ``ERRORS``, and the time, which differs from run to run and
+is never marked as the best. Drift and rotation are those over segments of 10 to 50 m."""
 SOLVED = Column("solved", "%")
 """Share of steps that were solved, and not dead-reckoned."""
 ANEES = Column("ANEES")
@@ -176,15 +175,10 @@ def comparison_table(
     return Table(tuple(columns), tuple(rows))
 
 
-def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    """Show head and rows of the table as text."""
-    return comparison_table(comparison).text_rows()
-
-
 def _rankings(entries: Sequence[Entry]) -> dict[str, Ranking]:
     """Rank the runs over one sequence by each of their errors."""
     taking_part = [entry for entry in entries if entry.has_truth and not entry.learned_from_it]
-    # What a run has left out, since it was stopped, nobody can compare.
+    # Only runs of the full length are compared: one that was stopped lacks frames.
     longest = max((len(entry.result) for entry in taking_part), default=0)
     whole = [entry for entry in taking_part if len(entry.result) == longest]
     if len(whole) < 2 or whole[0].truth is None:

@@ -91,5 +91,5 @@ def settings_section(training: Mapping[str, Any]) -> Markup:
 
 
 def is_constant(values: FloatArray) -> bool:
-    """Test whether several features have one and the same value, as the turn rate has, [N]."""
+    """Test whether several features have one and the same value, as the angular rate has, [N]."""
     return len(values) > 1 and bool(np.all(values == values[0]))

@@ -6,18 +6,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.image_scale import SizePx
-from probevo.camera.rectification import DistortionModel, PinholeCamera, without_unused
+from probevo.camera.rectification import PinholeCamera, without_unused
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibrations.calibration_content import CalibrationContent, load_calibration
+from probevo.sequences.calibrations.ros_camera_info import DISTORTION_MODELS
 from probevo.sequences.calibrations.stereo_calibration import StereoCalibration
-
-MODELS: dict[str, DistortionModel] = {
-    "plumb_bob": "radtan",
-    "rational_polynomial": "radtan",
-    "equidistant": "equidistant",
-}
-"""Names of distortion models in ROS."""
 
 
 def is_ros(content: CalibrationContent) -> bool:
@@ -93,9 +87,10 @@ def _pinhole(camera: CalibrationContent) -> PinholeCamera:
         InputError: its distortion model is not supported, or a key is missing.
     """
     name = camera.text("distortion_model")
-    if name not in MODELS:
+    if name not in DISTORTION_MODELS:
         what = f"the model {name!r} is not supported."
-        raise InputError(camera.where("distortion_model"), what, f"Known are {', '.join(MODELS)}.")
+        known = ", ".join(model for model in DISTORTION_MODELS if model)
+        raise InputError(camera.where("distortion_model"), what, f"Known are {known}.")
     K = camera.matrix("camera_matrix", 3, 3)
     distortion = camera.numbers("distortion_coefficients")
     return PinholeCamera(
@@ -103,7 +98,7 @@ def _pinhole(camera: CalibrationContent) -> PinholeCamera:
         fv_px=float(K[1, 1]),
         cu_px=float(K[0, 2]),
         cv_px=float(K[1, 2]),
-        distortion_model=MODELS[name],
+        distortion_model=DISTORTION_MODELS[name],
         distortion=tuple(without_unused(distortion).tolist()),
         size_px=(int(camera.number("image_width")), int(camera.number("image_height"))),
     )

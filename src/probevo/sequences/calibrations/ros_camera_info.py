@@ -18,14 +18,14 @@ from probevo.camera.rectification import (
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 
-MODELS: dict[str, DistortionModel] = {
+DISTORTION_MODELS: dict[str, DistortionModel] = {
     "": "radtan",
     "plumb_bob": "radtan",
     "rational_polynomial": "radtan",
     "equidistant": "equidistant",
     "fisheye": "equidistant",
 }
-"""Names of distortion models in ROS."""
+"""Names of distortion models in ROS; drivers of rectified cameras leave it empty."""
 
 
 class CameraInfo:
@@ -70,11 +70,11 @@ class CameraInfo:
         Raises:
             InputError: its distortion model is not supported.
         """
-        if self.model not in MODELS:
-            known = ", ".join(name for name in MODELS if name)
+        if self.model not in DISTORTION_MODELS:
+            known = ", ".join(name for name in DISTORTION_MODELS if name)
             what = f"the distortion model {self.model!r} is not supported."
             raise InputError(self.where, what, f"Supported are {known}.")
-        model = MODELS[self.model]
+        model = DISTORTION_MODELS[self.model]
         distortion = without_unused(self.D) if len(self.D) else np.zeros(4)
         return PinholeCamera(
             fu_px=float(self.K[0, 0]),

@@ -207,9 +207,9 @@ def _cross_covariances(
 ) -> FloatArray:
     """Return the cross-covariance G_k of each step with the whole motion Σ Ad_j ξ_j, [m, 6, 6].
 
-    With B_k and A_k the cross-covariances of step k with the common errors c before and after it,
-    and Φ_k that of c before with c after it, the steps j < k have S_j = cov(Σ_{i≤j} Ad_i ξ_i, c)
-    and the steps j > k have N_k = cov(c, Σ_{j>k} Ad_j ξ_j), both with c after step j or k:
+    B_k and A_k are the cross-covariances of step k with the common errors c before and after it,
+    Φ_k that of c before with c after it. With c after step k, let S_k = cov(Σ_{j≤k} Ad_j ξ_j, c)
+    and N_k = cov(c, Σ_{j>k} Ad_j ξ_j). One pass forwards and one backwards give
 
         S_k = S_{k−1} Φ_k + Ad_k A_k
         N_{k−1} = B_kᵀ Ad_kᵀ + Φ_k N_k

@@ -31,7 +31,8 @@ _TIME_STEP_S = 0.1
 """Step in which the drive is checked for that."""
 _SIGHT_M = 80.0
 """Movers that are farther ahead than this all through the drive are left out."""
-_GOLDEN_RATIO = 0.6180339887498949
+_GOLDEN_FRACTION = 0.6180339887498949
+"""Fractional part of the golden ratio."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class _Mover:
 
     solids: Solids
     s_m: float
-    """This and the next four as in ``Movers``."""
+    """This and the others but ``rank`` as in ``Movers``."""
     lateral_m: float
     rank: float
     """Strength of the traffic, 0 … 1, above which it is present."""
@@ -305,7 +306,7 @@ def _ranks(rng: np.random.Generator) -> Iterator[float]:
     rank = rng.random()
     while True:
         yield rank
-        rank = (rank + _GOLDEN_RATIO) % 1.0
+        rank = (rank + _GOLDEN_FRACTION) % 1.0
 
 
 def _keeps_clear(movers: Movers, half_size_m: FloatArray, route: Route, path: _Path) -> BoolArray:
