@@ -167,7 +167,7 @@ FIGURES = (
     ),
     Figure(
         "learning-spoiled",
-        ("docs/degradation.md",),
+        ("docs/learning-spoiled.md",),
         "python benchmarks/learning_spoiled.py",
         minutes=40,
         needs_data=True,
