@@ -137,6 +137,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "residual-correlation",
+        ("docs/window.md",),
+        "python benchmarks/residual_correlation.py",
+        minutes=5,
+        needs_data=True,
+    ),
+    Figure(
         "imu-agreement",
         ("docs/window.md",),
         "python benchmarks/imu_agreement.py",
