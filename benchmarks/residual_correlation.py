@@ -1,4 +1,4 @@
-"""How long do the errors of a feature last, and does it matter how far it moves in between?
+"""Measure how long errors of features last, and whether it matters how far these move in between.
 
     python benchmarks/residual_correlation.py
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -100,7 +101,7 @@ def show(name: str, sequence: Sequence) -> None:
     """Print the correlations of a recording."""
     before, after, moved_px = map(np.concatenate, zip(*pairs(sequence), strict=True))
     print(f"{name:26} {'all':>11}  {_line(before, after)}")
-    for low, high in zip(MOVED_PX[:-1], MOVED_PX[1:], strict=True):
+    for low, high in pairwise(MOVED_PX):
         chosen = (moved_px >= low) & (moved_px < high)
         if chosen.sum() >= FEWEST_PAIRS:
             print(f"{'':26} {low:4g} – {high:4g}  {_line(before[chosen], after[chosen])}")
