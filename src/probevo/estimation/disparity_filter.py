@@ -100,7 +100,9 @@ class DisparityFilter:
     ids: IntArray
     """Identities of the tracks, ascending, [M]."""
     states: DisparityPrior
-    """Mean and covariance of (d, δ) of each, in terms of the last frame."""
+    """Mean and covariance of (d, δ) of each, in terms of the last frame; and the posterior of the
+    rig's jitter in that frame, with its part of ``common``, None if the noise has no jitter, or the
+    filter is empty."""
     measured_px: FloatArray
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
@@ -111,9 +113,6 @@ class DisparityFilter:
     path_cross_cov: FloatArray
     """Cross-covariance of the path's error before the last step with that of the step, along the
     axes of the last frame, [6, 6]."""
-    jitter: JitterPrior | None = None
-    """Posterior of the rig's jitter in the last frame, with its part of ``common``; None if the
-    noise has no jitter, or the filter is empty."""
     correlation: StepCorrelation = field(default_factory=StepCorrelation.none)
     """Of the last step with its neighbours."""
 
@@ -137,7 +136,7 @@ class DisparityFilter:
         rows = np.flatnonzero(self.ids[place] == tracks.ids) if len(self.ids) else place[:0]
         place = place[rows]
         measured_px = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
-        jitter = self.jitter
+        jitter = self.states.jitter
         if jitter is not None:
             jitter = jitter._replace(sensitivity=jitter.sensitivity[place])
         # The rig's calibration may have been updated since, which changes the corrected
@@ -156,7 +155,6 @@ class DisparityFilter:
             common=self.common[place],
             path_sensitivity=self.path_sensitivity,
             path_cross_cov=self.path_cross_cov,
-            jitter=jitter,
             correlation=self.correlation,
         )
 
@@ -474,12 +472,12 @@ def _update(
             disparity=states.mean[ahead, 0] / depth[ahead],
             error=states.mean[ahead, 1],
             cov=cov[ahead],
+            jitter=jitter,
         ),
         measured_px=curr_px[:, 0] - curr_px[:, 2],
         common=kept_common[ahead],
         path_sensitivity=path_sensitivity,
         path_cross_cov=path_cross_cov,
-        jitter=jitter,
         correlation=correlation,
     )
 
