@@ -104,8 +104,8 @@ def track_from_best_start(
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
     from rest, it converges to similar-looking places, such as the next post of a guard rail, which
     may even agree on a motion, and so do the points of a lorry ahead. On the true motion agree more
-    points, or, where it takes most points out of the view, a larger share of those that it leaves
-    there.
+    points, or, where it takes most points out of the view, a larger share of those that are found,
+    and of those that it leaves in view.
     """
     # Features of a tracks file are matched by identity, whatever the start.
     if not isinstance(tracker, ImageTracker):
@@ -134,7 +134,10 @@ def track_from_best_start(
         # All starts use the same seed, so that only the tracks differ.
         num_inliers = int(consensus.inliers.sum())
         num_in_view = len(state) - followed.num_left_the_view
-        agreement.append(num_inliers**2 / max(num_in_view, 1))  # their number times their share
+        # Their number, times their share of those that are found, and of those that should be.
+        share_of_found = num_inliers / max(len(followed.tracks), 1)
+        share_in_view = num_inliers / max(num_in_view, 1)
+        agreement.append(num_inliers * share_of_found * share_in_view)
     return tracker.with_new_features(found[int(np.argmax(agreement))])
 
 
