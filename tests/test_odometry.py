@@ -556,7 +556,7 @@ def turn_rates(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
                 right=WHOLE,
                 imu=ImuSamples(np.array([0, 1]), np.zeros((1, 3)), np.zeros((2, 3))),
             ),
-            "2 IMU samples have turn rates of shape (1, 3)",
+            "2 IMU samples have angular rates of shape (1, 3)",
         ),
         (
             Frame(5, 0, features=StereoFeatures(np.arange(3), np.ones((2, 4)))),
@@ -577,7 +577,7 @@ def test_a_sample_without_a_finite_turn_rate_is_missing_and_refuses_nothing() ->
     frames = drive(np.random.default_rng(20), 2)
     stamps_ns = [frames[1].stamp_ns - FRAME_NS, frames[1].stamp_ns]
     frames[1] = replace(frames[1], imu=turn_rates(stamps_ns, [0.0, np.nan]))
-    with pytest.raises(InputError, match="frame 1: an IMU sample of it has no finite turn rate"):
+    with pytest.raises(InputError, match="frame 1: an IMU sample of it has no finite angular rate"):
         check_frame(frames[1], CAMERA)
     motion = run(frames)[1]
     assert motion.status is OK

@@ -57,7 +57,7 @@ def test_errors_against_the_truth_are_drawn(tmp_path: Path) -> None:
 
 REFUSED: dict[str, tuple[tuple[Any, ...], dict[str, Any], str]] = {
     "nothing": ((), {}, "runs: there is none"),
-    "one frame": ((run(1),), {}, "number 0 has 1 frames"),
+    "one frame": ((run(1),), {}, "run 1 has 1 frames"),
     "no folder": (("missing",), {}, "missing"),
     "another type": ((7,), {}, "runs: is 7"),
     "names": ((run(3),), {"names": ("a", "b")}, "names: 2 names for 1 runs"),

@@ -146,7 +146,7 @@ def test_a_task_that_kills_every_worker_is_given_up_and_named(
             die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append
         )
     assert caught.value.where == "b"
-    assert "each time of 1, the worker that had it to itself was lost" in caught.value.what
+    assert "its worker was lost 1 times, though it ran nothing else" in caught.value.what
     assert "goes on from what is done" in caught.value.cure
     assert sorted(done) == [0, 2, 3]
     assert len(list(tmp_path.iterdir())) >= 2
