@@ -314,8 +314,8 @@ class OdometryConfig(Settings):
         "window",
         description=(
             "window: the last frames are adjusted together, which drifts least; two-frame: each"
-            " motion from its two frames, with the disparities of earlier ones, in two thirds of the"
-            " time."
+            " motion from its two frames, with the disparities of earlier ones, in two thirds of"
+            " the time."
         ),
     )
     window: WindowConfig = WindowConfig()
