@@ -327,7 +327,7 @@ class VisualEstimator:
         # First with the predicted noise.
         used = consensus.inliers
         inliers = tracks.kept(used)
-        noise = self._predicted_noise(inliers, phi[used], priors.noise_factor)
+        noise = self._noise_of(self._noise, inliers, phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
         estimate = self._solve(
@@ -447,7 +447,8 @@ class VisualEstimator:
         random sample: selected around the motion of a few, they would understate the noise and
         confirm these few.
         """
-        noise = replace(self._predicted_noise(tracks, phi, noise_factor), jitter_cov=jitter_cov)
+        noise = self._noise_of(self._noise, tracks, phi, noise_factor)
+        noise = replace(noise, jitter_cov=jitter_cov)
         observations = StereoObservations.of(
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
@@ -460,21 +461,18 @@ class VisualEstimator:
             agree[:] = False
         return _AdaptedNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
-    def _predicted_noise(self, tracks: Tracks, phi: FloatArray, noise_factor: float) -> StereoNoise:
-        """Return the noise of tracks by the noise model, with its variances multiplied by a
-        factor, and with what correcting the tracks may have left.
+    def _noise_of(
+        self, model: NoiseModel, tracks: Tracks, phi: FloatArray, noise_factor: float
+    ) -> StereoNoise:
+        """Return the noise of tracks by a noise model, with its variances multiplied by a factor,
+        and with what correcting the tracks may have left.
 
         Args:
+            model: the noise model.
             tracks: N tracks.
             phi: their predictors, [N, M].
             noise_factor: the factor.
         """
-        return self._noise_by(self._noise, tracks, phi, noise_factor)
-
-    def _noise_by(
-        self, model: NoiseModel, tracks: Tracks, phi: FloatArray, noise_factor: float
-    ) -> StereoNoise:
-        """Return the noise of tracks by any noise model; see ``_predicted_noise``."""
         noise = model.predict(phi)
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
@@ -500,7 +498,7 @@ class VisualEstimator:
         """
         solution = estimate.solution
         no_predictors = np.zeros((len(tracks), 0))
-        equal = self._noise_by(StudentT(), tracks, no_predictors, priors.noise_factor)
+        equal = self._noise_of(StudentT(), tracks, no_predictors, priors.noise_factor)
         plain = self._two_frame.solve(
             tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
