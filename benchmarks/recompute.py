@@ -98,6 +98,12 @@ FIGURES = (
         minutes=15,
     ),
     Figure(
+        "traffic_starts",
+        ("docs/tracker.md",),
+        "python benchmarks/traffic_starts.py",
+        minutes=3,
+    ),
+    Figure(
         "subpixel",
         ("docs/tracker.md",),
         "python benchmarks/subpixel.py",

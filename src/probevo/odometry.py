@@ -267,9 +267,9 @@ class StereoOdometry:
             tracked = track_from_best_start(
                 tracker_for(frame, self.camera, self._tracker_config),
                 state.tracking,
-                frame,
-                prev_frame=state.frame,
+                (state.frame, frame),
                 starts=starts,
+                speed_is_unknown=model.speed_is_unknown,
                 camera=self.camera,
                 config=self.config,
             )

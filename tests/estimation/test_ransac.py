@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.estimation.ransac import INLIER_RATIO, Consensus, find_consensus, num_hypotheses
+from probevo.estimation.ransac import (
+    INLIER_RATIO,
+    Consensus,
+    find_consensus,
+    find_consensus_near,
+    num_hypotheses,
+)
 from probevo.geometry import se3, so3
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice
@@ -50,6 +56,32 @@ def test_outliers_are_rejected_with_noise(
     found = consensus(with_outliers(np.random.default_rng(seed)), seed, rotation)
     assert not found.inliers[:NUM_OUTLIERS].any()
     assert found.inliers[NUM_OUTLIERS:].mean() > share
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_only_motions_near_the_guess_are_tried_where_that_is_asked_for(seed: int) -> None:
+    """More of the tracks agree on another motion."""
+    rng = np.random.default_rng(seed)
+    other = se3.exp(np.array([0.0, 0.0, 1.0, 0.0, 0.03, 0.0])) @ FORWARD
+    tracks = both(
+        seen_twice(rng, 80, sigma_px=0.2, depth_m=(5.0, 15.0)),
+        seen_twice(rng, 100, other, sigma_px=0.2, depth_m=(5.0, 15.0)),
+    )
+    sigma = np.repeat([0.2, 0.01], 3)
+    guess = se3.exp(0.5 * sigma) @ FORWARD
+    anywhere = find_consensus(
+        tracks, CAMERA, np.random.default_rng(seed), guess=guess, confidence=0.9999
+    )
+    nearby = find_consensus_near(
+        tracks,
+        CAMERA,
+        np.random.default_rng(seed),
+        guess=guess,
+        cov=9.0 * np.diag(sigma**2),
+        confidence=0.9999,
+    )
+    assert anywhere.inliers[80:].mean() > 0.8
+    assert nearby.inliers[:80].mean() > 0.8
 
 
 @pytest.mark.parametrize("rotation", [None, C_GYRO], ids=["three points", "one point and gyro"])

@@ -151,8 +151,7 @@ def test_each_start_is_tracked_from_once_and_the_best_is_proposed(best: int) -> 
     tracked = track_from_best_start(
         tracker,
         TrackingState.none(),
-        frame(1, view(300, 120)),
-        prev_frame=frame(0, view(300, 120)),
+        (frame(0, view(300, 120)), frame(1, view(300, 120))),
         starts=starts,
         camera=CAMERA,
         config=pv.OdometryConfig(),
@@ -169,8 +168,7 @@ def test_a_single_start_is_tracked_once() -> None:
     track_from_best_start(
         tracker,
         TrackingState.none(),
-        frame(1, view(300, 120)),
-        prev_frame=frame(0, view(300, 120)),
+        (frame(0, view(300, 120)), frame(1, view(300, 120))),
         starts=starts,
         camera=CAMERA,
         config=pv.OdometryConfig(),
@@ -194,8 +192,7 @@ def test_given_features_are_matched_once(monkeypatch: pytest.MonkeyPatch) -> Non
     tracked = track_from_best_start(
         FeatureMatcher(),
         TrackingState.none(),
-        Frame(1, 1, features=given),
-        prev_frame=Frame(0, 0, features=given),
+        (Frame(0, 0, features=given), Frame(1, 1, features=given)),
         starts=[np.eye(4), se3.exp(0.02 * np.eye(6)[1])],
         camera=CAMERA,
         config=pv.OdometryConfig(),
@@ -223,8 +220,7 @@ def test_the_turn_that_images_show_is_a_start_once_most_features_in_view_are_los
     tracked = track_from_best_start(
         tracker,
         alive,
-        frame(1, view(250, 120)),
-        prev_frame=frame(0, view(300, 120)),
+        (frame(0, view(300, 120)), frame(1, view(250, 120))),
         starts=[start],
         camera=CAMERA,
         config=pv.OdometryConfig(),
@@ -238,20 +234,27 @@ def test_the_turn_that_images_show_is_a_start_once_most_features_in_view_are_los
 class BesideLorry(ImageTracker):
     """Of 200 features, finds those of a lorry from rest, and those of the street from its speed."""
 
-    FOUND = (60, 45)
-    LEFT_THE_VIEW = (5, 120)
-
-    def __init__(self, starts: list[FloatArray]) -> None:
+    def __init__(
+        self,
+        starts: list[FloatArray],
+        *,
+        found: tuple[int, int],
+        left_the_view: tuple[int, int],
+        farthest_m: tuple[float, float],
+    ) -> None:
         super().__init__(CAMERA, pv.OdometryConfig().tracking)
         self.starts = starts
+        self.found = found
+        self.left_the_view = left_the_view
+        self.farthest_m = farthest_m
 
     def follow(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Followed:
         number = next(
             k for k, start in enumerate(self.starts) if np.array_equal(T_curr_prev, start)
         )
-        count = self.FOUND[number]
+        count = self.found[number]
         rng = np.random.default_rng(0)
-        depth_m = rng.uniform(8.0, 20.0, count)
+        depth_m = rng.uniform(8.0, self.farthest_m[number], count)
         points = rng.uniform(-0.2, 0.2, (count, 3)) * depth_m[:, None]
         points[:, 2] = depth_m
         tracks = Tracks(
@@ -259,7 +262,7 @@ class BesideLorry(ImageTracker):
             CAMERA.project(se3.transform(T_curr_prev, points)),
             np.arange(count),
             age=np.full(count, 2),
-            rejected={LEFT_THE_VIEW: self.LEFT_THE_VIEW[number]},
+            rejected={LEFT_THE_VIEW: self.left_the_view[number]},
         )
         images = prepare_images(frame, self._config)
         patches = AnchorPatches.cut(images.left[0], np.zeros((0, 2)), self._config.window_px)
@@ -270,11 +273,12 @@ class BesideLorry(ImageTracker):
         return Tracked(followed.tracks, followed.alive)
 
 
-def test_a_lorry_ahead_is_no_street_at_rest() -> None:
-    """More features agree on rest, 60 of the 195 that would be in view, but more than half of the
-    80 on the speed that takes the others out of the view."""
-    at_rest = np.eye(4)
-    driving = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -4.0]))
+AT_REST = np.eye(4)
+DRIVING = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -4.0]))
+
+
+def best_start(tracker: BesideLorry, *, speed_is_unknown: bool) -> int:
+    """Which start 200 features are tracked from."""
     alive = replace(
         TrackingState.none(),
         ids=np.arange(200),
@@ -282,12 +286,43 @@ def test_a_lorry_ahead_is_no_street_at_rest() -> None:
         age=np.ones(200, np.int64),
     )
     tracked = track_from_best_start(
-        BesideLorry([at_rest, driving]),
+        tracker,
         alive,
-        frame(1, view(300, 120)),
-        prev_frame=frame(0, view(300, 120)),
-        starts=[at_rest, driving],
+        (frame(0, view(300, 120)), frame(1, view(300, 120))),
+        starts=tracker.starts,
+        speed_is_unknown=speed_is_unknown,
         camera=CAMERA,
         config=pv.OdometryConfig(),
     )
-    assert tracked.state.next_id == 1
+    return tracked.state.next_id
+
+
+def test_a_lorry_ahead_is_no_street_at_rest() -> None:
+    """More features agree on rest, 60 of the 195 that would be in view, but more than half of the
+    80 on the speed that takes the others out of the view."""
+    tracker = BesideLorry(
+        [AT_REST, DRIVING], found=(60, 45), left_the_view=(5, 120), farthest_m=(20.0, 20.0)
+    )
+    assert best_start(tracker, speed_is_unknown=False) == 1
+
+
+@pytest.mark.parametrize(
+    ("lorry_m", "street_m", "num_of_street", "speed_is_unknown", "best"),
+    [
+        pytest.param(12.0, 60.0, 40, True, 1, id="the street is longer"),
+        pytest.param(12.0, 60.0, 40, False, 0, id="the speed is known"),
+        pytest.param(60.0, 12.0, 40, True, 0, id="oncoming lorry seen from rest"),
+        pytest.param(12.0, 60.0, 8, True, 0, id="few agree"),
+    ],
+)
+def test_of_lorries_all_around_and_a_street_the_larger_stands_still(
+    lorry_m: float, street_m: float, num_of_street: int, speed_is_unknown: bool, best: int
+) -> None:
+    """100 features agree on rest, and fewer on a speed that takes none out of the view."""
+    tracker = BesideLorry(
+        [AT_REST, DRIVING],
+        found=(100, num_of_street),
+        left_the_view=(0, 0),
+        farthest_m=(lorry_m, street_m),
+    )
+    assert best_start(tracker, speed_is_unknown=speed_is_unknown) == best

@@ -148,6 +148,22 @@ def test_a_motion_that_fails_the_gate_is_not_accepted() -> None:
     assert not len(visual.disparities.ids)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_of_a_van_ahead_and_fewer_features_of_the_street_the_latter_give_the_motion(
+    seed: int,
+) -> None:
+    """The van keeps its distance, within 10 m, while 1.2 m ahead are predicted to 5 cm."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.0, 1.0, (60, 3)) + np.array([0.0, 0.0, 8.0])
+    on_van = tracks_of(*(CAMERA.project(points) + 0.2 * rng.normal(size=(2, 60, 4))))
+    street = seen_twice(rng, 40, sigma_px=0.2, depth_m=(5.0, 40.0))
+    visual = estimate(both(on_van, street), replace(STANDSTILL, T_curr_prev=FORWARD))
+    assert visual.status is Status.OK
+    error = motion_error(visual.accepted_solution.T_curr_prev)
+    assert error @ np.linalg.solve(visual.accepted_solution.cov, error) < 22.5  # 99.9 % of χ²(6)
+    assert visual.weights[:60].max() < 0.5
+
+
 def test_a_solve_that_is_cut_short_is_not_accepted() -> None:
     config = OdometryConfig(solver=SolverConfig(max_iterations=1))
     visual = estimate(seen_twice(np.random.default_rng(10), 200, sigma_px=0.2), config=config)

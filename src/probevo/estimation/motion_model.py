@@ -19,6 +19,10 @@ INNOVATION_GATE = 60.0
 """Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
 rejected: about 7σ."""
 
+SIGNIFICANT_INNOVATION = 22.46
+"""Squared Mahalanobis distance of a motion's innovation beyond which it is significant: the 99.9 %
+quantile of χ²(6)."""
+
 LARGEST_STAMP_SHARE = 0.05
 """Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
 admits motions that are half too long or too short; 5 ms at 30 Hz would also admit a standstill."""
@@ -78,23 +82,27 @@ class MotionPrediction:
         """Return the difference of a motion [4, 4] and the prediction, a left perturbation, [6]."""
         return se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
 
-    def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
+    def fails_gate(
+        self, T_curr_prev: FloatArray, cov: FloatArray, gate: float = INNOVATION_GATE
+    ) -> bool:
         """Return whether a solved motion differs too much from the prediction, given both
         covariances."""
         # Either prediction may be the one that is wrong.
-        if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov):
+        if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov, gate):
             return False
         with_sudden_turn = cov.copy()
         with_sudden_turn[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
-        return self.contradicts(T_curr_prev, with_sudden_turn)
+        return self.contradicts(T_curr_prev, with_sudden_turn, gate)
 
-    def contradicts(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
-        """Return whether a motion with covariance ``cov`` lies beyond ``INNOVATION_GATE`` of the
-        prediction."""
+    def contradicts(
+        self, T_curr_prev: FloatArray, cov: FloatArray, gate: float = INNOVATION_GATE
+    ) -> bool:
+        """Return whether a motion with covariance ``cov`` lies beyond this squared Mahalanobis
+        distance of the prediction."""
         innovation = self.innovation(T_curr_prev)
         # Both are independent, so their covariances add up.
         squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
-        return bool(squared > INNOVATION_GATE)
+        return bool(squared > gate)
 
 
 @dataclass(frozen=True)

@@ -94,31 +94,85 @@ def find_consensus(
             outliers, but each motion has the depth noise of its point, and the best is chosen.
     """
     sample_size = 3 if C_curr_prev is None else 1
-    count = len(tracks)
     start = np.array(guess)
     # The sample's translation is solved for; its rotation stays the gyro's.
     if C_curr_prev is not None:
         start[:3, :3] = C_curr_prev
-    samples = np.zeros((0, sample_size), dtype=np.int64)
-    if count >= sample_size:
-        samples = rng.integers(count, size=(num_hypotheses(confidence), sample_size))
+    samples = _drawn(len(tracks), sample_size, rng, confidence)
+    return _consensus(tracks, camera, samples, start, threshold, near=np.zeros((6, 6)))
+
+
+def find_consensus_near(
+    tracks: Tracks,
+    camera: StereoCamera,
+    rng: np.random.Generator,
+    *,
+    guess: FloatArray,
+    cov: FloatArray,
+    threshold: InlierThreshold = InlierThreshold(),
+    confidence: float = 0.99,
+) -> Consensus:
+    """Find the best of the motions of random minimal samples of three that are near a guess.
+
+    Args:
+        tracks: the N features.
+        camera: the rectified camera.
+        rng: source of the samples.
+        guess: predicted T_curr_prev, [4, 4].
+        cov: covariance by which the squared Mahalanobis distance to the guess is to be at most 1,
+            [6, 6].
+        threshold: largest error of an inlier in any of u_l, v_l, u_r.
+        confidence: as of ``find_consensus``.
+    """
+    samples = _drawn(len(tracks), 3, rng, confidence)
+    near = np.ascontiguousarray(np.linalg.inv(cov), np.float64)
+    return _consensus(tracks, camera, samples, np.array(guess), threshold, near=near)
+
+
+def _drawn(count: int, sample_size: int, rng: np.random.Generator, confidence: float) -> IntArray:
+    """Draw samples of a size from so many features; none if there are fewer."""
+    if count < sample_size:
+        return np.zeros((0, sample_size), dtype=np.int64)
+    return rng.integers(count, size=(num_hypotheses(confidence), sample_size))
+
+
+def _consensus(
+    tracks: Tracks,
+    camera: StereoCamera,
+    samples: IntArray,
+    start: FloatArray,
+    threshold: InlierThreshold,
+    *,
+    near: FloatArray,
+) -> Consensus:
+    """Return the best of the motions of samples, and its inliers.
+
+    Args:
+        tracks: the N features.
+        camera: the rectified camera.
+        samples: rows of the features of each, [M, 3] or [M, 1].
+        start: the motion to start from, which competes, [4, 4].
+        threshold: largest error of an inlier.
+        near: as of ``_Problem``.
+    """
     # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
     disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
     points = np.column_stack([tracks.prev_px[:, :2], disparity])
     T_curr_prev = np.ascontiguousarray(start)
-    inliers = np.zeros(count, np.bool_)
+    inliers = np.zeros(len(tracks), np.bool_)
     problem = _Problem(
         points=points,
         curr=np.ascontiguousarray(tracks.curr_px),
         camera=Intrinsics.of(camera),
         threshold_px=threshold.all_px,
         right_share=threshold.all_px / threshold.right_px,
-        free=6 if sample_size == 3 else 3,
+        free=6 if samples.shape[1] == 3 else 3,
+        near=near,
     )
     _best_sample(
         problem,
         samples,
-        LossParameters(int(LossKind.L2), np.ones(sample_size)),
+        LossParameters(int(LossKind.L2), np.ones(samples.shape[1])),
         T_best=T_curr_prev,
         inliers=inliers,
     )
@@ -138,6 +192,9 @@ class _Problem(NamedTuple):
     """The threshold of u_l and v over that of u_r, 0 to 1."""
     free: int
     """Number of entries of ξ = [ρ; φ] that are solved for: 6, or 3 to keep the rotation."""
+    near: FloatArray
+    """Information by which the distance to the guess is measured, which is to be 1 at most, [6, 6];
+    zeros for no limit."""
 
 
 @compiled
@@ -192,7 +249,7 @@ def _best_sample(
             copy_into(T, T_moved)
             if np.sum(step * step) < 1e-8:
                 break
-        if solvable:
+        if solvable and _is_near(T, T_start, problem.near):
             # Most samples are given up early: as soon as they cost more than the best one.
             cost = _truncated_cost(problem, T, best, inliers)
             if cost < best:
@@ -200,6 +257,30 @@ def _best_sample(
                 copy_into(T_best, T)
     # Later samples have overwritten the mask of inliers: evaluate the best one again.
     _truncated_cost(problem, T_best, np.inf, inliers)
+
+
+@compiled
+def _is_near(T: FloatArray, T_guess: FloatArray, information: FloatArray) -> bool:
+    """Return whether the squared Mahalanobis distance of a motion [4, 4] to the guess is at most 1,
+    for an information of [6, 6]."""
+    # ξ of T = Exp(ξ) T_guess for a small rotation: C − Cᵀ is twice the skew matrix of φ.
+    xi = np.empty(6)
+    C = np.empty((3, 3))
+    for i in range(3):
+        xi[i] = T[i, 3]
+        for j in range(3):
+            C[i, j] = 0.0
+            for n in range(3):
+                C[i, j] += T[i, n] * T_guess[j, n]
+            xi[i] -= C[i, j] * T_guess[j, 3]
+    xi[3] = 0.5 * (C[2, 1] - C[1, 2])
+    xi[4] = 0.5 * (C[0, 2] - C[2, 0])
+    xi[5] = 0.5 * (C[1, 0] - C[0, 1])
+    squared = 0.0
+    for i in range(6):
+        for j in range(6):
+            squared += xi[i] * information[i, j] * xi[j]
+    return bool(squared <= 1.0)
 
 
 @compiled

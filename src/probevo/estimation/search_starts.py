@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -10,7 +12,8 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.matched_rotation import matched_rotation
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import InlierThreshold, find_consensus
+from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
+from probevo.estimation.rival_motion import FEWEST_UNPREDICTED, Supported, outranks
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
@@ -85,13 +88,29 @@ def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> Fl
     return rotation
 
 
+class _Found(NamedTuple):
+    """What one start has found."""
+
+    followed: Followed
+    consensus: Consensus
+    """The motion that most of its tracks agree on."""
+    agreement: float
+    """How many agree, and which share they are."""
+
+    @property
+    def supported(self) -> Supported:
+        """The motion with the tracks that agree."""
+        agreeing = self.followed.tracks.kept(self.consensus.inliers)
+        return Supported(self.consensus.T_curr_prev, agreeing)
+
+
 def track_from_best_start(
     tracker: Tracker,
     state: TrackingState,
-    frame: Frame,
+    frames: tuple[Frame, Frame],
     *,
-    prev_frame: Frame,
     starts: list[FloatArray],
+    speed_is_unknown: bool = False,
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
@@ -106,7 +125,12 @@ def track_from_best_start(
     may even agree on a motion, and so do the points of a lorry ahead. On the true motion agree more
     points, or, where it takes most points out of the view, a larger share of those that are found,
     and of those that it leaves in view.
+
+    While the speed is unknown, many points may still agree on another motion: if vehicles are all
+    around, most are on these. Then the points that surround the camera tell its motion
+    (``rival_motion``).
     """
+    prev_frame, frame = frames
     # Features of a tracks file are matched by identity, whatever the start.
     if not isinstance(tracker, ImageTracker):
         return tracker.track(state, frame, starts[0])
@@ -121,7 +145,7 @@ def track_from_best_start(
         found += [tracker.follow(state, frame, start) for start in further]
     if len(found) == 1:
         return tracker.with_new_features(found[0])
-    agreement = []
+    results = []
     for start, followed in zip(starts, found, strict=True):
         consensus = find_consensus(
             followed.tracks,
@@ -137,8 +161,22 @@ def track_from_best_start(
         # Their number, times their share of those that are found, and of those that should be.
         share_of_found = num_inliers / max(len(followed.tracks), 1)
         share_in_view = num_inliers / max(num_in_view, 1)
-        agreement.append(num_inliers * share_of_found * share_in_view)
-    return tracker.with_new_features(found[int(np.argmax(agreement))])
+        agreement = num_inliers * share_of_found * share_in_view
+        results.append(_Found(followed, consensus, agreement))
+    results.sort(key=lambda result: -result.agreement)
+    best = results[0]
+    if speed_is_unknown:
+        for rival in results[1:]:
+            if outranks(
+                rival.supported,
+                best.supported,
+                camera,
+                fewest=FEWEST_UNPREDICTED * config.solver.min_tracks,
+                # Errors that all features share, as of a flexing rig, make no rival.
+                against_px=2.0 * config.ransac.threshold_px,
+            ):
+                best = rival
+    return tracker.with_new_features(best.followed)
 
 
 def _most_are_lost(found: list[Followed], num_features: int) -> bool:

@@ -23,12 +23,13 @@ from probevo.estimation.feature_weights import (
 )
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
-from probevo.estimation.motion_model import MotionPrediction
+from probevo.estimation.motion_model import SIGNIFICANT_INNOVATION, MotionPrediction
 from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
     evaluated_at,
 )
+from probevo.estimation.rival_motion import rival_near_prediction
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION, Measurement, Variable
@@ -271,19 +272,35 @@ class VisualEstimator:
         if not are_enough(consensus.inliers, self._config):
             nothing = np.zeros(len(tracks))
             return VisualMotion(Status.TOO_FEW_TRACKS, nothing, used=nothing.astype(bool))
-        # The motion under the predicted noise, and the residuals of the two frames alone.
+        # The motion under the predicted noise.
         solve = self._solve_with_adapted_noise(tracks, phi, consensus, priors)
-        solution = solve.estimate.solution
-        two_frames_only = self._two_frames_only(solve, priors)
-        clock.lap("solve")
+        if _contradicts_prediction(solve, priors.prediction):
+            # A vehicle may have more features than the street.
+            rival = rival_near_prediction(
+                consensus,
+                tracks,
+                self._camera,
+                priors.prediction,
+                config=self._config,
+                rng=rng,
+            )
+            if rival is not None:
+                other = self._solve_with_adapted_noise(tracks, phi, rival, priors)
+                if not _contradicts_prediction(other, priors.prediction):
+                    consensus = rival
+                    solve = other
         # Accept or reject it.
         status = evaluate_status(
-            solution,
+            solve.estimate.solution,
             solve.estimate.weights,
             priors.prediction,
             num_tracks=len(tracks),
             config=self._config,
         )
+        # The residuals of the two frames alone.
+        solution = solve.estimate.solution
+        two_frames_only = self._two_frames_only(solve, priors)
+        clock.lap("solve")
         # What the next step needs: the motion for its predictors, and weights of all N tracks, zero
         # for those that RANSAC rejected.
         T_reference = solution.T_curr_prev
@@ -526,6 +543,14 @@ def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:
     """
     dof = np.broadcast_to(noise.dof, (len(squared),))
     return max(1.0, scale_of_residuals(squared, dof))
+
+
+def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool:
+    """Return whether a solve differs significantly from what was predicted."""
+    solution = solve.estimate.solution
+    if not np.isfinite(solution.cov).all():
+        return False
+    return prediction.fails_gate(solution.T_curr_prev, solution.cov, SIGNIFICANT_INNOVATION)
 
 
 def evaluate_status(
