@@ -17,6 +17,7 @@ from probevo.estimation.visual_motion import (
     MotionPriors,
     VisualEstimator,
     VisualMotion,
+    _Solve,
     evaluate_status,
 )
 from probevo.geometry import se3, so3
@@ -561,8 +562,15 @@ def reference_of(
         has_history=np.zeros(len(tracks), np.bool_),
     )
     visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
-    tracks = tracks if contradicting is None else contradicting
-    return solution, visual._reference_motion(of_all, tracks, FORWARD, priors_of())
+    solve = _Solve(
+        T_ransac=FORWARD,
+        used=np.ones(len(tracks), np.bool_),
+        tracks=tracks if contradicting is None else contradicting,
+        noise=predicted,
+        estimate=of_all,
+        noise_factor=1.0,
+    )
+    return solution, visual._reference_motion(solve, priors_of())
 
 
 def test_a_noise_that_follows_a_car_is_contradicted_by_the_street() -> None:

@@ -137,6 +137,8 @@ class _AdaptedNoise(NamedTuple):
 class _Solve:
     """A solve, and the tracks and noise that it used."""
 
+    T_ransac: FloatArray
+    """The motion that RANSAC found, [4, 4]."""
     used: BoolArray
     """Which of the N tracks of the step it used, [N]."""
     tracks: Tracks
@@ -275,20 +277,7 @@ class VisualEstimator:
         # The motion under the predicted noise.
         solve = self._solve_with_adapted_noise(tracks, phi, consensus, priors)
         if _contradicts_prediction(solve, priors.prediction):
-            # A vehicle may have more features than the street.
-            rival = rival_near_prediction(
-                consensus,
-                tracks,
-                self._camera,
-                priors.prediction,
-                config=self._config,
-                rng=rng,
-            )
-            if rival is not None:
-                other = self._solve_with_adapted_noise(tracks, phi, rival, priors)
-                if not _contradicts_prediction(other, priors.prediction):
-                    consensus = rival
-                    solve = other
+            solve = self._solve_of_rival(tracks, phi, consensus, priors, rng=rng) or solve
         # Accept or reject it.
         status = evaluate_status(
             solve.estimate.solution,
@@ -305,9 +294,7 @@ class VisualEstimator:
         # for those that RANSAC rejected.
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
-            T_reference = self._reference_motion(
-                solve.estimate, solve.tracks, consensus.T_curr_prev, priors
-            )
+            T_reference = self._reference_motion(solve, priors)
         estimated_noise_factor = None
         if self._scales_noise and status is Status.OK:
             estimated_noise_factor = solve.estimated_noise_factor(two_frames_only)
@@ -328,6 +315,36 @@ class VisualEstimator:
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
         )
+
+    def _solve_of_rival(
+        self,
+        tracks: Tracks,
+        phi: FloatArray,
+        consensus: Consensus,
+        priors: MotionPriors,
+        *,
+        rng: np.random.Generator,
+    ) -> _Solve | None:
+        """Solve with those tracks that agree on the predicted motion, where the others may be on
+        vehicles; None if there is no such motion.
+
+        Args:
+            tracks: the N tracks.
+            phi: their predictors, [N, M].
+            consensus: the motion that most tracks agree on, and these. It contradicts the
+                prediction.
+            priors: what is known about the step before its tracks are used.
+            rng: source of RANSAC's samples.
+        """
+        if self._config.ransac.mode != "reject":
+            return None
+        rival = rival_near_prediction(
+            consensus, tracks, self._camera, priors.prediction, config=self._config, rng=rng
+        )
+        if rival is None:
+            return None
+        solve = self._solve_with_adapted_noise(tracks, phi, rival, priors)
+        return None if _contradicts_prediction(solve, priors.prediction) else solve
 
     def _solve_with_adapted_noise(
         self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
@@ -350,7 +367,9 @@ class VisualEstimator:
         estimate = self._solve(
             inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
         )
-        solve = _Solve(used, inliers, noise, estimate, priors.noise_factor)
+        solve = _Solve(
+            consensus.T_curr_prev, used, inliers, noise, estimate, noise_factor=priors.noise_factor
+        )
         if not self._is_noisier_than_expected(estimate):
             return solve
         # Then with what all tracks show of the noise, at the motion found.
@@ -390,6 +409,7 @@ class VisualEstimator:
             priors=priors,
         )
         return _Solve(
+            consensus.T_curr_prev,
             fitting.agree,
             agreeing,
             larger,
@@ -499,9 +519,7 @@ class VisualEstimator:
             noise = noise.with_right_error(tracks.right_error_px)
         return noise
 
-    def _reference_motion(
-        self, estimate: TwoFrameEstimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
-    ) -> FloatArray:
+    def _reference_motion(self, solve: _Solve, priors: MotionPriors) -> FloatArray:
         """Return the motion at which the residuals for the next step's predictors are taken, [4,
         4].
 
@@ -513,13 +531,13 @@ class VisualEstimator:
         equal noise cannot be influenced by the model, but it is less accurate, so it is used only
         if the difference is significant.
         """
-        solution = estimate.solution
-        no_predictors = np.zeros((len(tracks), 0))
-        equal = self._noise_of(StudentT(), tracks, no_predictors, priors.noise_factor)
+        solution = solve.estimate.solution
+        no_predictors = np.zeros((len(solve.tracks), 0))
+        equal = self._noise_of(StudentT(), solve.tracks, no_predictors, priors.noise_factor)
         plain = self._two_frame.solve(
-            tracks,
+            solve.tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
-            guess=guess,
+            guess=solve.T_ransac,
             others=priors.measurements,
             curr=priors.curr,
         )
