@@ -3,15 +3,24 @@
 import numpy as np
 import pytest
 
+from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import (
     DISPARITY_SIGMA_PX,
+    FOCAL_SIGMA,
     INITIAL_SIGMA_PX,
     NUM_ERRORS,
+    ImageEquations,
     ImageErrors,
 )
 
-NO_RADIAL = np.zeros(NUM_ERRORS)
+
+def equations(information: FloatArray, gradient: FloatArray) -> ImageEquations:
+    """Of a step that shows nothing of the radial error of the rows, and of the focal length."""
+    none = np.zeros(NUM_ERRORS)
+    return ImageEquations(
+        information, gradient, none, none, focal_information=0.0, focal_gradient=0.0
+    )
 
 
 def test_two_steps_are_one_least_squares_problem() -> None:
@@ -26,7 +35,7 @@ def test_two_steps_are_one_least_squares_problem() -> None:
         root = rng.normal(size=(NUM_ERRORS, 2 * NUM_ERRORS))
         information = root @ root.T
         measured = truth + rng.normal(scale=0.1, size=NUM_ERRORS)
-        errors = errors.with_step(information, information @ (measured - errors.mean), NO_RADIAL)
+        errors = errors.with_step(equations(information, information @ (measured - errors.mean)))
         total += information
         moment += information @ measured
     prior = np.concatenate([DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, sigma_px)]) ** -2.0
@@ -45,7 +54,7 @@ def test_the_prior_becomes_as_wide_as_the_errors_are(tau_px: float) -> None:
     errors = ImageErrors.initial()
     for _ in range(100):
         measured = truth + 0.05 * rng.normal(size=NUM_ERRORS)
-        errors = errors.with_step(information, information @ (measured - errors.mean), NO_RADIAL)
+        errors = errors.with_step(equations(information, information @ (measured - errors.mean)))
     assert abs(errors.distortion_sigma_px / tau_px - 1.0) < 0.34
     np.testing.assert_allclose(errors.mean, truth, atol=0.03)
 
@@ -58,7 +67,7 @@ def test_a_lens_without_distortion_gets_no_field() -> None:
     errors = ImageErrors.initial()
     for _ in range(100):
         measured = 0.5 * rng.normal(size=NUM_ERRORS)
-        errors = errors.with_step(information, information @ (measured - errors.mean), NO_RADIAL)
+        errors = errors.with_step(equations(information, information @ (measured - errors.mean)))
     prior = np.append(DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, INITIAL_SIGMA_PX)) ** -2.0
     fixed = np.linalg.solve(errors.seen + np.diag(prior), errors.moment)
     rms = np.sqrt(np.mean(errors.distortion**2))
@@ -67,6 +76,65 @@ def test_a_lens_without_distortion_gets_no_field() -> None:
 
 def test_nothing_seen_leaves_the_prior() -> None:
     nothing = np.zeros((NUM_ERRORS, NUM_ERRORS))
-    errors = ImageErrors.initial().with_step(nothing, np.zeros(NUM_ERRORS), NO_RADIAL)
+    errors = ImageErrors.initial().with_step(equations(nothing, np.zeros(NUM_ERRORS)))
     np.testing.assert_array_equal(errors.mean, 0.0)
     assert errors.distortion_sigma_px == pytest.approx(INITIAL_SIGMA_PX, rel=1e-12)
+    assert errors.focal_rms == FOCAL_SIGMA
+
+
+def with_focal_length(
+    rng: np.random.Generator, focal_error: float, sigma: float, steps: int
+) -> tuple[ImageErrors, FloatArray, FloatArray]:
+    """Return the estimate after steps that measure image errors of 0.1 px and log f together, each
+    to ``sigma`` of the latter; and the joint information and moment of all, by a prior for each."""
+    truth = np.append(rng.normal(scale=0.1, size=NUM_ERRORS), focal_error)
+    errors = ImageErrors.initial()
+    total = np.zeros((NUM_ERRORS + 1, NUM_ERRORS + 1))
+    moment = np.zeros(NUM_ERRORS + 1)
+    for _ in range(steps):
+        tau_px = errors.distortion_sigma_px
+        jacobian = rng.normal(size=(2 * NUM_ERRORS, NUM_ERRORS + 1))
+        jacobian[:, -1] /= sigma
+        information = jacobian.T @ jacobian
+        measured = truth + np.linalg.solve(information, jacobian.T @ rng.normal(size=len(jacobian)))
+        gradient = information @ (measured - np.append(errors.mean, 0.0))
+        errors = errors.with_step(
+            ImageEquations(
+                information[:-1, :-1],
+                gradient[:-1],
+                np.zeros(NUM_ERRORS),
+                information[:-1, -1],
+                focal_information=information[-1, -1],
+                focal_gradient=gradient[-1],
+            )
+        )
+        total += information
+        moment += information @ measured
+    prior = np.concatenate([DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, tau_px), [FOCAL_SIGMA]])
+    return errors, total + np.diag(prior**-2.0), moment
+
+
+def test_images_that_agree_with_the_focal_length_make_it_certain() -> None:
+    """As in one least-squares problem of all errors together."""
+    errors, information, moment = with_focal_length(np.random.default_rng(8), 0.0, 0.002, 4)
+    expected = np.linalg.solve(information, moment)[-1] ** 2 + np.linalg.inv(information)[-1, -1]
+    assert errors.focal_rms == pytest.approx(np.sqrt(expected), rel=1e-6)
+    assert errors.focal_rms < 0.3 * FOCAL_SIGMA
+
+
+def test_images_that_contradict_the_focal_length_show_nothing() -> None:
+    """It may be the lenses."""
+    errors, *_ = with_focal_length(np.random.default_rng(9), 0.03, 0.002, 4)
+    assert errors.focal_rms == FOCAL_SIGMA
+
+
+def test_the_estimate_moves_with_the_focal_length_that_is_assumed() -> None:
+    """By ∂c/∂ε of the least-squares problem in which ε is given."""
+    errors, information, moment = with_focal_length(np.random.default_rng(10), 0.01, 0.002, 4)
+    of_image = information[:-1, :-1]
+    means = [
+        np.linalg.solve(of_image, moment[:-1] - information[:-1, -1] * epsilon)
+        for epsilon in (0.0, 0.01)
+    ]
+    np.testing.assert_allclose(errors.mean, means[0], atol=1e-9)
+    np.testing.assert_allclose(0.01 * errors.shift_by_focal, means[1] - means[0], atol=1e-9)

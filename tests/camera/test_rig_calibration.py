@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from probevo.camera.image_errors import NUM_ERRORS
+from probevo.camera.image_errors import NUM_ERRORS, ImageEquations
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
@@ -132,7 +133,14 @@ def test_another_radial_error_changes_the_image_errors_with_it() -> None:
     information = root @ root.T
     truth = rng.normal(scale=0.2, size=NUM_ERRORS)
     before = RigCalibration.initial().with_image_errors(
-        information, information @ truth, with_radial=with_radial
+        ImageEquations(
+            information,
+            information @ truth,
+            with_radial,
+            with_focal=np.zeros(NUM_ERRORS),
+            focal_information=0.0,
+            focal_gradient=0.0,
+        )
     )
     after = before.with_rows(pixels, CAMERA)
     change_px = after.rows[RADIAL] - before.rows[RADIAL]
@@ -146,9 +154,17 @@ def test_another_radial_error_changes_the_image_errors_with_it() -> None:
 def test_neighbouring_features_count_for_less_in_the_image_errors() -> None:
     information = 100.0 * np.eye(NUM_ERRORS)
     rig = RigCalibration.initial().with_image_errors(
-        information, np.zeros(NUM_ERRORS), with_radial=np.zeros(NUM_ERRORS)
+        ImageEquations(
+            information,
+            np.zeros(NUM_ERRORS),
+            np.zeros(NUM_ERRORS),
+            with_focal=np.zeros(NUM_ERRORS),
+            focal_information=200.0,
+            focal_gradient=0.0,
+        )
     )
     np.testing.assert_allclose(rig.image.seen, information / CORRELATED_FEATURES, rtol=1e-12)
+    assert rig.image.focal_seen == pytest.approx(200.0 / CORRELATED_FEATURES)
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:

@@ -7,13 +7,14 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS, root_mean_square_px
-from probevo.camera.image_errors import DISPARITY_SIGMA_PX, NUM_ERRORS
+from probevo.camera.image_errors import DISPARITY_SIGMA_PX, FOCAL_SIGMA, NUM_ERRORS
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     ROW_SIGMA_PX,
     RigCalibration,
     disparity_basis,
 )
+from probevo.camera.transfer import transfer
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.rig_update import calibration_sensitivity, update_rig
 from probevo.geometry import se3
@@ -28,7 +29,9 @@ from worlds import (
     image_errors,
     misrectified,
     motion_error,
+    random_pixels,
     seen_twice,
+    tracks_of,
 )
 
 
@@ -278,7 +281,8 @@ def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
     known = np.concatenate([[0.4, 0.6], np.full(NUM_COEFFICIENTS, 1e-6)])
     rig = replace(initial, image=replace(initial.image, cov=np.diag(known**2.0)))
     _, common_mode = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
-    claimed = common_mode.columns @ common_mode.columns.T
+    columns = common_mode.columns[:, :-1]  # the last one is for the focal length
+    claimed = columns @ columns.T
     errors = []
     for b in rng.normal(size=(400, 3)) * [CONSTANT_SIGMA_PX, 0.4, 0.6]:
         tracks = misrectified_tracks(clean, np.zeros(7), b[1:], b[0])
@@ -304,8 +308,37 @@ def test_common_mode_error_is_that_of_the_joint_covariance() -> None:
     covariance[0, 0] = CONSTANT_SIGMA_PX**2
     covariance[1:, 1:] = rig.image.cov
     expected = gain @ covariance @ gain.T
-    claimed = common_mode.columns @ common_mode.columns.T
+    columns = common_mode.columns[:, :-1]  # the last one is for the focal length
+    claimed = columns @ columns.T
     np.testing.assert_allclose(claimed, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.05])
+def test_a_wrong_focal_length_moves_the_motion_as_claimed(turn_rad: float) -> None:
+    """f b is right: a straight motion is that without the error, and a turn is too small where f is
+    too long. Image errors are known."""
+    turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, turn_rad, 0.0]))
+    T_curr_prev = turn @ se3.from_parts(np.eye(3), FORWARD[:3, 3])
+    epsilon = 1e-3
+    true_camera = replace(
+        CAMERA,
+        fu_px=np.exp(epsilon) * CAMERA.fu_px,
+        fv_px=np.exp(epsilon) * CAMERA.fv_px,
+        baseline_m=np.exp(-epsilon) * CAMERA.baseline_m,
+    )
+    prev_px = random_pixels(np.random.default_rng(15), 300)
+    curr_px = transfer(prev_px, T_curr_prev, true_camera)
+    tracks = tracks_of(prev_px, curr_px)
+    solution = solve(tracks, Fixed(), T_curr_prev)
+    initial = RigCalibration.initial()
+    known = replace(initial, image=replace(initial.image, cov=1e-18 * np.eye(NUM_ERRORS)))
+    _, common_mode = update_rig(known, tracks, solution, CAMERA)
+    left = se3.log(T_curr_prev @ se3.inverse(solution.T_curr_prev))
+    scale = 1e-3 * epsilon * max(turn_rad, 0.01)
+    np.testing.assert_allclose(epsilon * common_mode.focal_gain, left, rtol=0.02, atol=scale)
+    np.testing.assert_allclose(
+        common_mode.columns[:, -1], FOCAL_SIGMA * common_mode.focal_gain, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant() -> None:
@@ -316,7 +349,8 @@ def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant(
     covs = []
     for rig in (initial, certain):
         _, common_mode = update_rig(rig, clean, solution, CAMERA)
-        covs.append(common_mode.columns @ common_mode.columns.T)
+        columns = common_mode.columns[:, :-1]
+        covs.append(columns @ columns.T)
     assert np.linalg.eigvalsh(covs[0] - covs[1])[0] > -1e-12
     assert np.linalg.matrix_rank(covs[1] / covs[1].max(), tol=1e-6) == 1
 

@@ -7,8 +7,9 @@ the other one gives ψ. With f_true = f e^ε, the residuals of a step are off by
 In a curve, disparity errors have a similar effect, so ε is estimated jointly with them: each
 accepted step adds its information on θ = (b₁, b₂, ε), with b of ``rig_calibration``. Motion and
 jitter of the rig are eliminated by a Schur complement (``estimation.rig_update``). The focal length
-is not corrected; the estimate is only reported. It is that of tracks without the distortion field
-(``camera.distortion_field``), which would take up most of the error.
+is not corrected; this estimate is only reported. It is that of tracks without the distortion field
+(``camera.distortion_field``), which would take up most of the error. What the covariance of a
+motion contains of ε is that beside such a field (``camera.image_errors``).
 
 Remaining lens distortion looks like a wrong focal length, too, and images cannot distinguish the
 two (docs/degradation.md).

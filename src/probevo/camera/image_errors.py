@@ -11,12 +11,17 @@ with P the information of the prior. That of the field depends on the lenses: it
 likelihood), of which each step takes one iteration of EM, τ² = mean of (c² + its variance). Images
 of an exact camera so lower τ to hundredths of a pixel, and their field vanishes; raw 0005 of KITTI
 raises it to 0.4 px.
+
+The error ε of log f looks like lens distortion, so that neither can be corrected for certain. c is
+estimated for ε = 0; ε has a prior of its own, and what is left unknown of it, beside c, is part of
+the covariance of the motions (``estimation.rig_update``).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +36,8 @@ calibrations leave."""
 LARGEST_SIGMA_PX = 0.5
 """Largest τ. Lenses that are further off have to be calibrated. Where features move by themselves,
 as on a lorry that fills the road, a field of many pixels could explain that."""
+FOCAL_SIGMA = 0.005
+"""Prior standard deviation of the error of log f, that of a usual calibration."""
 NUM_ERRORS = len(DISPARITY_SIGMA_PX) + NUM_COEFFICIENTS
 _DISTORTION = slice(len(DISPARITY_SIGMA_PX), NUM_ERRORS)
 
@@ -39,6 +46,34 @@ def _prior_variance(distortion_sigma_px: float) -> FloatArray:
     """Return the diagonal of P⁻¹, [NUM_ERRORS], px²."""
     sigma_px = np.concatenate([DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, distortion_sigma_px)])
     return sigma_px**2
+
+
+class ImageEquations(NamedTuple):
+    """Normal equations of a step about the errors c, with motion and jitter eliminated."""
+
+    information: FloatArray
+    """About c, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
+    gradient: FloatArray
+    """By c at the estimate, by which the tracks were corrected, [NUM_ERRORS], px⁻¹."""
+    with_radial: FloatArray
+    """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
+    with_focal: FloatArray
+    """Off-diagonal information between c and the error ε of log f, [NUM_ERRORS], px⁻¹."""
+    focal_information: float
+    """About ε."""
+    focal_gradient: float
+    """By ε, at ε = 0 and the estimate of c."""
+
+    def scaled(self, factor: float) -> ImageEquations:
+        """Return the equations of so many times the information."""
+        return ImageEquations(
+            information=factor * self.information,
+            gradient=factor * self.gradient,
+            with_radial=factor * self.with_radial,
+            with_focal=factor * self.with_focal,
+            focal_information=factor * self.focal_information,
+            focal_gradient=factor * self.focal_gradient,
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +93,12 @@ class ImageErrors:
     """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
     distortion_sigma_px: float
     """τ."""
+    with_focal: FloatArray
+    """Off-diagonal information between c and the error ε of log f, [NUM_ERRORS], px⁻¹."""
+    focal_seen: float = 0.0
+    """Information about ε, for a given c."""
+    focal_moment: float = 0.0
+    """What is seen of ε and c together, as the moment of ε at c = 0."""
 
     @staticmethod
     def initial(distortion_sigma_px: float = INITIAL_SIGMA_PX) -> ImageErrors:
@@ -73,7 +114,32 @@ class ImageErrors:
             moment=np.zeros(NUM_ERRORS),
             with_radial=np.zeros(NUM_ERRORS),
             distortion_sigma_px=distortion_sigma_px,
+            with_focal=np.zeros(NUM_ERRORS),
         )
+
+    @property
+    def shift_by_focal(self) -> FloatArray:
+        """∂c/∂ε, [NUM_ERRORS], px: where the estimate would be with another focal length."""
+        shift: FloatArray = -self.cov @ self.with_focal
+        return shift
+
+    @property
+    def distortion_shift_by_focal(self) -> FloatArray:
+        """The part of the distortion field in it, [NUM_COEFFICIENTS], px."""
+        return self.shift_by_focal[_DISTORTION]
+
+    @property
+    def focal_rms(self) -> float:
+        """Root of the second moment of ε about 0, for which c is estimated: that of the prior, or
+        less, where the images agree with the focal length.
+
+        Where they contradict it, that may be the lenses, whose distortion looks alike; so they show
+        nothing then.
+        """
+        # The joint posterior of (c, ε), of which c is eliminated.
+        information = self.focal_seen + FOCAL_SIGMA**-2.0 + self.with_focal @ self.shift_by_focal
+        mean = (self.focal_moment - self.with_focal @ self.mean) / information
+        return min(math.sqrt(mean**2 + 1.0 / information), FOCAL_SIGMA)
 
     @property
     def disparity(self) -> FloatArray:
@@ -95,18 +161,11 @@ class ImageErrors:
         """Covariance of these coefficients, [NUM_COEFFICIENTS, NUM_COEFFICIENTS], px²."""
         return self.cov[_DISTORTION, _DISTORTION]
 
-    def with_step(
-        self, information: FloatArray, gradient: FloatArray, with_radial: FloatArray
-    ) -> ImageErrors:
-        """Return the estimate after what the residuals of a step show, and τ after one iteration.
-
-        Args:
-            information: of the step about c, [NUM_ERRORS, NUM_ERRORS], px⁻².
-            gradient: by c at the estimate, by which the tracks were corrected, px⁻¹.
-            with_radial: off-diagonal information of the step between c and a₆, px⁻².
-        """
-        seen = self.seen + information
-        moment = self.moment + information @ self.mean + gradient
+    def with_step(self, step: ImageEquations) -> ImageErrors:
+        """Return the estimate after what the residuals of a step show, and τ after one
+        iteration."""
+        seen = self.seen + step.information
+        moment = self.moment + step.information @ self.mean + step.gradient
         prior = np.diag(1.0 / _prior_variance(self.distortion_sigma_px))
         cov = np.linalg.inv(seen + prior).astype(np.float64, copy=False)
         mean = cov @ moment
@@ -116,8 +175,13 @@ class ImageErrors:
             cov=cov,
             seen=seen,
             moment=moment,
-            with_radial=self.with_radial + with_radial,
+            with_radial=self.with_radial + step.with_radial,
             distortion_sigma_px=min(math.sqrt(mean_square), LARGEST_SIGMA_PX),
+            with_focal=self.with_focal + step.with_focal,
+            focal_seen=self.focal_seen + step.focal_information,
+            focal_moment=(
+                self.focal_moment + step.focal_gradient + float(step.with_focal @ self.mean)
+            ),
         )
 
     def with_radial_moved(self, change_px: float) -> ImageErrors:

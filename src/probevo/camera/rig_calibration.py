@@ -38,7 +38,7 @@ from probevo.camera.distortion_field import COMMON_MODES, DISPARITY_MODES, modes
 from probevo.camera.distortion_field_numba import correct_by_field
 from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.focal_length import FocalLengthEstimate
-from probevo.camera.image_errors import NUM_ERRORS, ImageErrors
+from probevo.camera.image_errors import NUM_ERRORS, ImageEquations, ImageErrors
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows import fit_row_offsets
 from probevo.camera.rig_rows_numba import (
@@ -177,25 +177,13 @@ class RigCalibration:
         )
         return replace(self, delay=updated)
 
-    def with_image_errors(
-        self, information: FloatArray, gradient: FloatArray, with_radial: FloatArray
-    ) -> RigCalibration:
+    def with_image_errors(self, step: ImageEquations) -> RigCalibration:
         """Update the errors c of the images with the normal equations of a motion's residuals.
 
         Residuals of neighbouring features are correlated, so their information is reduced
         (``CORRELATED_FEATURES``).
-
-        Args:
-            information: about c, [NUM_ERRORS, NUM_ERRORS], px⁻².
-            gradient: by c, [NUM_ERRORS], px⁻¹.
-            with_radial: off-diagonal information between c and a₆, [NUM_ERRORS], px⁻².
         """
-        updated = self.image.with_step(
-            information / CORRELATED_FEATURES,
-            gradient / CORRELATED_FEATURES,
-            with_radial / CORRELATED_FEATURES,
-        )
-        return replace(self, image=updated)
+        return replace(self, image=self.image.with_step(step.scaled(1.0 / CORRELATED_FEATURES)))
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

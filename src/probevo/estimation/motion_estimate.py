@@ -12,10 +12,10 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 
-COMMON_MODE_COLUMNS = 9
+COMMON_MODE_COLUMNS = 10
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
-(``camera.rig_calibration``), and six for what of its distortion field
-(``camera.distortion_field``) is independent of these."""
+(``camera.rig_calibration``), six for what of its distortion field (``camera.distortion_field``) is
+independent of these, and one for its focal length."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from probevo.camera.distortion_field import (
 )
 from probevo.camera.distortion_field_numba import FieldModes, field_sensitivities, predict_pixels
 from probevo.camera.focal_length_numba import focal_sensitivity
+from probevo.camera.image_errors import ImageEquations
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
@@ -32,7 +33,9 @@ _IMAGE = slice(1, _FIELD.stop)
 """Those of c = (b₁, b₂, field): two frames do not estimate b₀."""
 _RADIAL = _FIELD.stop
 """Index of a₆."""
-_FOCAL = [1, 2, _FIELD.stop + 1]
+_EPSILON = _FIELD.stop + 1
+"""Index of ε."""
+_FOCAL = [1, 2, _EPSILON]
 """Indices of b₁, b₂ and ε."""
 
 
@@ -41,14 +44,19 @@ class CommonMode(NamedTuple):
 
     columns: FloatArray
     """Root of Schmidt's consider term, [6, COMMON_MODE_COLUMNS]: ∂ξ/∂(errors, whitened). Three are
-    for b₀, b₁ and b₂, six for what of the distortion field is independent of these."""
+    for b₀, b₁ and b₂, six for what of the distortion field is independent of these, and one for
+    the focal length."""
     distortion_gain: FloatArray
     """∂ξ/∂(coefficients of the distortion field), [6, NUM_COEFFICIENTS], m/px and rad/px."""
+    focal_gain: FloatArray
+    """∂ξ/∂ε, f b being held, [6], m and rad."""
 
     @staticmethod
     def none() -> CommonMode:
         """Return that of a motion on which no calibration has an influence."""
-        return CommonMode(np.zeros((6, COMMON_MODE_COLUMNS)), np.zeros((6, NUM_COEFFICIENTS)))
+        return CommonMode(
+            np.zeros((6, COMMON_MODE_COLUMNS)), np.zeros((6, NUM_COEFFICIENTS)), np.zeros(6)
+        )
 
 
 def update_rig(
@@ -105,9 +113,14 @@ def update_rig(
     updated = rig
     if solution.is_motion:
         updated = rig.with_image_errors(
-            information[_IMAGE, _IMAGE],
-            gradient[_IMAGE],
-            with_radial=information[_IMAGE, _RADIAL],
+            ImageEquations(
+                information=information[_IMAGE, _IMAGE],
+                gradient=gradient[_IMAGE],
+                with_radial=information[_IMAGE, _RADIAL],
+                with_focal=information[_IMAGE, _EPSILON],
+                focal_information=information[_EPSILON, _EPSILON],
+                focal_gradient=gradient[_EPSILON],
+            )
         )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.
@@ -125,14 +138,23 @@ def update_rig(
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
     # held here.
-    motion_gain = np.linalg.solve(solution.hessian, C[:6, : _FIELD.stop]).astype(float)
+    motion_gain = np.linalg.solve(solution.hessian, C[:6]).astype(float)
     # One root of the joint covariance, which is lower triangular: b moves the motion by itself and
     # by what it tells of the field; of the field, only what is independent of b is left to add.
     root = np.linalg.cholesky(rig.disparity_and_field_cov)
-    of_disparity = motion_gain @ root[:, :3]
+    of_disparity = motion_gain[:, : _FIELD.stop] @ root[:, :3]
     distortion_gain = motion_gain[:, _FIELD]
-    of_field = _square_root(distortion_gain @ root[_FIELD, _FIELD])
-    return updated, CommonMode(np.hstack([of_disparity, of_field]), distortion_gain)
+    of_field = distortion_gain @ root[_FIELD, _FIELD]
+    # A wrong focal length moves the motion, and what was estimated of the image errors, too. It is
+    # f b that a stereo calibration fixes by the size of its board, and a longer baseline makes the
+    # motion longer.
+    focal_gain = motion_gain[:, _EPSILON]
+    focal_gain[:3] -= solution.T_curr_prev[:3, 3]
+    of_focal_length = focal_gain + motion_gain[:, _IMAGE] @ rig.image.shift_by_focal
+    columns = np.column_stack(
+        [of_disparity, _square_root(of_field), rig.image.focal_rms * of_focal_length]
+    )
+    return updated, CommonMode(columns, distortion_gain, focal_gain)
 
 
 def _square_root(columns: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ def walked(
     errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
     for gain, used_px in zip(gains, used, strict=True):
         effect = effect.carried_to_new(-1, FORWARD)
-        effect = effect.with_step(gain, used_px=used_px, errors=errors)
+        effect = effect.with_step(gain, np.zeros(6), used_px=used_px, errors=errors)
     return effect, gains, used, errors
 
 
@@ -57,6 +57,31 @@ def test_the_second_moment_is_that_of_errors_that_add_up() -> None:
     )
 
 
+def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
+    """With a field that is known but for it: the root of the second moment is the sum over the
+    steps, of which one to the right takes back one to the left."""
+    rng = np.random.default_rng(4)
+    errors = image_errors(distortion_px=np.zeros(NUM_COEFFICIENTS))
+    with_focal = rng.normal(size=len(errors.mean))
+    errors = replace(errors, cov=1e-9 * np.eye(len(errors.mean)), with_focal=with_focal)
+    adjoint = se3.adjoint(FORWARD)
+    for second, turns in ((1.0, "alike"), (-1.0, "back")):
+        effect = DistortionEffect.none()
+        expected = np.zeros(6)
+        for sign in (1.0, second):
+            gain = sign * rng.normal(size=(6, NUM_COEFFICIENTS))
+            focal_gain = sign * np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
+            effect = effect.carried_to_new(-1, FORWARD)
+            effect = effect.with_step(
+                gain, focal_gain, used_px=np.zeros(NUM_COEFFICIENTS), errors=errors
+            )
+            moved = focal_gain + gain @ errors.distortion_shift_by_focal
+            expected = adjoint @ expected + moved
+        claimed = effect.of_pose(2) - effect.sensitivity[2] @ effect.cov @ effect.sensitivity[2].T
+        expected *= errors.focal_rms
+        np.testing.assert_allclose(claimed, np.outer(expected, expected), atol=1e-12, err_msg=turns)
+
+
 def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
     rng = np.random.default_rng(2)
     errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
@@ -65,7 +90,7 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
     for _ in range(STEPS):
         effect = effect.carried_to_new(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
-        effect = effect.with_step(gain, used_px=errors.distortion, errors=errors)
+        effect = effect.with_step(gain, np.zeros(6), used_px=errors.distortion, errors=errors)
     np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
 
 

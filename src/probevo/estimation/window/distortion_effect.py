@@ -12,6 +12,10 @@ and the pose is off by S_k c − s_k. With the newest estimate, c ~ N(ĉ, Σ), i
 
 So what is learned of the lenses later makes earlier poses more certain, or less, if it is other
 than what they were corrected by.
+
+The focal length is not corrected. An error ε of its logarithm moves each motion by the gain ∂ξ/∂ε,
+which adds up to F_k as G_k does to S_k, and moves the estimate of c by ∂c/∂ε, so that the second
+moment has the term E[ε²] (F_k + S_k ∂c/∂ε)(…)ᵀ besides.
 """
 
 from __future__ import annotations
@@ -40,6 +44,12 @@ class DistortionEffect:
     """ĉ, [NUM_COEFFICIENTS], px."""
     cov: FloatArray
     """Σ, [NUM_COEFFICIENTS, NUM_COEFFICIENTS], px²."""
+    focal_sensitivity: FloatArray
+    """F_k of each, [K, 6], m and rad."""
+    shift_by_focal: FloatArray
+    """∂c/∂ε, [NUM_COEFFICIENTS], px."""
+    focal_rms: float
+    """Root mean square of ε."""
 
     @staticmethod
     def none() -> DistortionEffect:
@@ -49,11 +59,19 @@ class DistortionEffect:
             corrected=np.zeros((1, POSE)),
             mean=np.zeros(NUM_COEFFICIENTS),
             cov=np.zeros((NUM_COEFFICIENTS, NUM_COEFFICIENTS)),
+            focal_sensitivity=np.zeros((1, POSE)),
+            shift_by_focal=np.zeros(NUM_COEFFICIENTS),
+            focal_rms=0.0,
         )
 
     def kept(self, frames: BoolArray) -> DistortionEffect:
         """Return the effect on some of the frames."""
-        return replace(self, sensitivity=self.sensitivity[frames], corrected=self.corrected[frames])
+        return replace(
+            self,
+            sensitivity=self.sensitivity[frames],
+            corrected=self.corrected[frames],
+            focal_sensitivity=self.focal_sensitivity[frames],
+        )
 
     def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> DistortionEffect:
         """Return the effect with one more frame, whose motion from another, [4, 4], adds none."""
@@ -62,15 +80,24 @@ class DistortionEffect:
             self,
             sensitivity=np.concatenate([self.sensitivity, adjoint @ self.sensitivity[prev][None]]),
             corrected=np.concatenate([self.corrected, (adjoint @ self.corrected[prev])[None]]),
+            focal_sensitivity=np.concatenate(
+                [self.focal_sensitivity, (adjoint @ self.focal_sensitivity[prev])[None]]
+            ),
         )
 
     def with_step(
-        self, gain: FloatArray, *, used_px: FloatArray, errors: ImageErrors
+        self,
+        gain: FloatArray,
+        focal_gain: FloatArray,
+        *,
+        used_px: FloatArray,
+        errors: ImageErrors,
     ) -> DistortionEffect:
         """Return the effect with that of the last step added, and with the newest estimate.
 
         Args:
             gain: G of the step, [6, NUM_COEFFICIENTS].
+            focal_gain: ∂ξ/∂ε of the step, [6].
             used_px: the coefficients by which its tracks were corrected, [NUM_COEFFICIENTS], px.
             errors: the estimate after the step.
         """
@@ -78,26 +105,41 @@ class DistortionEffect:
         sensitivity[-1] += gain
         corrected = self.corrected.copy()
         corrected[-1] += gain @ used_px
+        focal_sensitivity = self.focal_sensitivity.copy()
+        focal_sensitivity[-1] += focal_gain
         return DistortionEffect(
             sensitivity=sensitivity,
             corrected=corrected,
             mean=errors.distortion,
             cov=errors.distortion_cov,
+            focal_sensitivity=focal_sensitivity,
+            shift_by_focal=errors.distortion_shift_by_focal,
+            focal_rms=errors.focal_rms,
         )
 
     def of_pose(self, slot: int) -> FloatArray:
         """Return the second moment of the error of a pose, [6, 6]."""
-        return self._second_moment(self.sensitivity[slot], self.corrected[slot])
+        return self._second_moment(
+            self.sensitivity[slot], self.corrected[slot], self.focal_sensitivity[slot]
+        )
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
         """Return that of the motion between two frames, with its adjoint, [6, 6]."""
         return self._second_moment(
             self.sensitivity[slot] - adjoint @ self.sensitivity[other],
             self.corrected[slot] - adjoint @ self.corrected[other],
+            self.focal_sensitivity[slot] - adjoint @ self.focal_sensitivity[other],
         )
 
-    def _second_moment(self, sensitivity: FloatArray, corrected: FloatArray) -> FloatArray:
-        """Return the second moment of S c − s, [6, 6]."""
+    def _second_moment(
+        self, sensitivity: FloatArray, corrected: FloatArray, focal_sensitivity: FloatArray
+    ) -> FloatArray:
+        """Return the second moment of S c − s + F ε, [6, 6]."""
         left = sensitivity @ self.mean - corrected
-        moment: FloatArray = sensitivity @ self.cov @ sensitivity.T + np.outer(left, left)
+        of_focal = self.focal_rms * (focal_sensitivity + sensitivity @ self.shift_by_focal)
+        moment: FloatArray = (
+            sensitivity @ self.cov @ sensitivity.T
+            + np.outer(left, left)
+            + np.outer(of_focal, of_focal)
+        )
         return moment

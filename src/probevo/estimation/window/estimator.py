@@ -188,6 +188,7 @@ class WindowEstimator:
         # The motion was solved from tracks that were corrected by the field before the step.
         distortion = after.distortion.with_step(
             solved.common_mode.distortion_gain,
+            solved.common_mode.focal_gain,
             used_px=solved.corrected.rig.image.distortion,
             errors=solved.rig.image,
         )
