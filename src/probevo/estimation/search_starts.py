@@ -114,7 +114,8 @@ def track_from_best_start(
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
-    """Track from each start T_curr_prev, [4, 4], and return the result whose tracks agree best.
+    """Track from each start T_curr_prev, [4, 4], between two frames, the previous one and this one,
+    and return the result whose tracks agree best.
 
     If more than half of the features in view are lost, the camera may have turned in a way that
     nobody predicted. The rotation of matched descriptors is then a further start, or that of the
