@@ -88,14 +88,15 @@ def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> Fl
     return rotation
 
 
-class _Found(NamedTuple):
-    """What one start has found."""
+class _Agreement(NamedTuple):
+    """How well the tracks from one start agree."""
 
     followed: Followed
     consensus: Consensus
-    """The motion that most of its tracks agree on."""
-    agreement: float
-    """How many agree, and which share they are."""
+    """The motion that most of them agree on."""
+    value: float
+    """The number of these, times their share of those that are found, and of those that should
+    be."""
 
     @property
     def supported(self) -> Supported:
@@ -146,38 +147,63 @@ def track_from_best_start(
         found += [tracker.follow(state, frame, start) for start in further]
     if len(found) == 1:
         return tracker.with_new_features(found[0])
-    results = []
-    for start, followed in zip(starts, found, strict=True):
-        consensus = find_consensus(
-            followed.tracks,
+    agreements = [
+        _agreement(
+            start,
+            followed,
             camera,
-            rng=np.random.default_rng([config.seed, frame.index]),
-            guess=start,
-            threshold=InlierThreshold(config.ransac.threshold_px),
-            confidence=config.ransac.confidence,
+            config,
+            num_features=len(state),
+            seed=[config.seed, frame.index],
         )
-        # All starts use the same seed, so that only the tracks differ.
-        num_inliers = int(consensus.inliers.sum())
-        num_in_view = len(state) - followed.num_left_the_view
-        # Their number, times their share of those that are found, and of those that should be.
-        share_of_found = num_inliers / max(len(followed.tracks), 1)
-        share_in_view = num_inliers / max(num_in_view, 1)
-        agreement = num_inliers * share_of_found * share_in_view
-        results.append(_Found(followed, consensus, agreement))
-    results.sort(key=lambda result: -result.agreement)
-    best = results[0]
-    if speed_is_unknown:
-        for rival in results[1:]:
-            if outranks(
-                rival.supported,
-                best.supported,
-                camera,
-                fewest=FEWEST_UNPREDICTED * config.solver.min_tracks,
-                # Errors that all features share, as of a flexing rig, make no rival.
-                against_px=2.0 * config.ransac.threshold_px,
-            ):
-                best = rival
+        for start, followed in zip(starts, found, strict=True)
+    ]
+    best, *others = sorted(agreements, key=lambda each: each.value, reverse=True)
+    for rival in others if speed_is_unknown else []:
+        if outranks(
+            rival.supported,
+            best.supported,
+            camera,
+            fewest=FEWEST_UNPREDICTED * config.solver.min_tracks,
+            # Errors that all features share, as of a flexing rig, make no rival.
+            against_px=2.0 * config.ransac.threshold_px,
+        ):
+            best = rival
     return tracker.with_new_features(best.followed)
+
+
+def _agreement(
+    start: FloatArray,
+    followed: Followed,
+    camera: StereoCamera,
+    config: OdometryConfig,
+    *,
+    num_features: int,
+    seed: list[int],
+) -> _Agreement:
+    """Return how well the tracks from a start agree.
+
+    Args:
+        start: T_curr_prev, [4, 4].
+        followed: the tracks.
+        camera: the rectified camera.
+        config: settings of RANSAC.
+        num_features: number of features in the previous frame.
+        seed: of RANSAC; the same for all starts, so that only the tracks differ.
+    """
+    consensus = find_consensus(
+        followed.tracks,
+        camera,
+        rng=np.random.default_rng(seed),
+        guess=start,
+        threshold=InlierThreshold(config.ransac.threshold_px),
+        confidence=config.ransac.confidence,
+    )
+    num_inliers = int(consensus.inliers.sum())
+    num_in_view = num_features - followed.num_left_the_view
+    share_of_found = num_inliers / max(len(followed.tracks), 1)
+    share_in_view = num_inliers / max(num_in_view, 1)
+    return _Agreement(followed, consensus, num_inliers * share_of_found * share_in_view)
 
 
 def _most_are_lost(found: list[Followed], num_features: int) -> bool:
