@@ -19,10 +19,6 @@ INNOVATION_GATE = 60.0
 """Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
 rejected: about 7σ."""
 
-SIGNIFICANT_INNOVATION = 22.46
-"""Squared Mahalanobis distance of a motion's innovation beyond which it is significant: the 99.9 %
-quantile of χ²(6)."""
-
 LARGEST_STAMP_SHARE = 0.05
 """Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
 admits motions that are half too long or too short; 5 ms at 30 Hz would also admit a standstill."""

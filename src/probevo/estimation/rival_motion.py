@@ -18,8 +18,9 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.config import OdometryConfig
-from probevo.estimation.motion_model import SIGNIFICANT_INNOVATION, MotionPrediction
+from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus_near
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.tracking.tracks import Tracks
 
 FEWEST_UNPREDICTED = 2
@@ -97,7 +98,7 @@ def rival_near_prediction(
         camera,
         rng=rng,
         guess=prediction.T_curr_prev,
-        cov=SIGNIFICANT_INNOVATION * prediction.cov,
+        cov=MOTIONS_DIFFER_FROM * prediction.cov,
         threshold=InlierThreshold(threshold_px),
         confidence=CONFIDENCE,
     )

@@ -23,7 +23,7 @@ from probevo.estimation.feature_weights import (
 )
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
-from probevo.estimation.motion_model import SIGNIFICANT_INNOVATION, MotionPrediction
+from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
@@ -31,7 +31,7 @@ from probevo.estimation.reprojection import (
 )
 from probevo.estimation.rival_motion import rival_near_prediction
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
-from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, normalized_error_squared
 from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
@@ -57,9 +57,6 @@ LEAST_SHIFT_PX = 1.0
 """Median shift of the features from which on their residuals show the noise. A feature's error
 depends on its place between the pixels: it is another one a pixel further, and the same one where
 the image has hardly moved."""
-MOTIONS_DIFFER_FROM = 22.46
-"""Squared Mahalanobis distance beyond which two motions of the same tracks differ significantly:
-the 99.9 % quantile of χ²(6)."""
 
 
 @dataclass(frozen=True)
@@ -568,7 +565,7 @@ def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool
     solution = solve.estimate.solution
     if not np.isfinite(solution.cov).all():
         return False
-    return prediction.fails_gate(solution.T_curr_prev, solution.cov, SIGNIFICANT_INNOVATION)
+    return prediction.fails_gate(solution.T_curr_prev, solution.cov, MOTIONS_DIFFER_FROM)
 
 
 def evaluate_status(

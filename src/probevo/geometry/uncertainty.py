@@ -12,6 +12,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
 
+MOTIONS_DIFFER_FROM = 22.46
+"""Squared Mahalanobis distance beyond which two motions differ significantly: the 99.9 % quantile
+of χ²(6)."""
+
 
 def invert(T_b_a: FloatArray, cov_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return T_a_b and its covariance, [..., 4, 4] and [..., 6, 6].

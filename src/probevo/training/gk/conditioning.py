@@ -11,8 +11,8 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.disparity_filter import StepCorrelation
 from probevo.estimation.disparity_filter_numba import COMMON
-from probevo.estimation.visual_motion import MOTIONS_DIFFER_FROM
 from probevo.geometry import se3
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.jitter_numba import AXES
 from probevo.training.supervision import Supervision
 
