@@ -44,7 +44,8 @@ def test_halves_whose_noise_is_as_claimed_agree(estimator: str) -> None:
     assert [one.frames for one in found] == ([1, SPAN] if estimator == "window" else [1])
     for one in found:
         assert "too small" not in verdict(one)
-        assert 0.1 < one.mean < 1.3  # less than 1 by what is claimed for the rig of both
+        # Less than 1 by what is claimed for the rig of both; over several frames that is most.
+        assert (0.2 if one.frames == 1 else 0.15) < one.mean < 1.3
         assert one.share_inside(0.99) > 0.95
 
 
