@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -132,26 +131,27 @@ def every(step: int) -> Spoil:
 
 
 def at_random(share: float, change: Callable[[Frame, Frame], Frame]) -> Spoil:
-    """Change single frames; called with the frame and the one before it."""
+    """Change single frames; called with the frame and the last one that was shown."""
 
     def spoil(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
-        changed = frames[:1]
-        for before, frame in pairwise(frames):
-            changed.append(change(frame, before) if rng.random() < share else frame)
-        return changed
+        shown = frames[:1]
+        for frame in frames[1:]:
+            shown.append(change(frame, shown[-1]) if rng.random() < share else frame)
+        return shown
 
     return spoil
 
 
-def black(frame: Frame, before: Frame) -> Frame:
-    del before
+def black(frame: Frame, last: Frame) -> Frame:
+    del last
     return replace(
         frame, left=np.full_like(frame.left, BLACK), right=np.full_like(frame.right, BLACK)
     )
 
 
-def frozen(frame: Frame, before: Frame) -> Frame:
-    return replace(frame, left=before.left.copy(), right=before.right.copy())
+def frozen(frame: Frame, last: Frame) -> Frame:
+    """The images of a driver that hangs: those of the last frame again."""
+    return replace(frame, left=last.left.copy(), right=last.right.copy())
 
 
 def flickering(spread: float) -> Spoil:
