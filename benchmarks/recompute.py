@@ -179,6 +179,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "mirrored",
+        ("docs/accuracy.md",),
+        "python benchmarks/mirrored.py",
+        minutes=2,
+        needs_data=True,
+    ),
+    Figure(
         "learning-spoiled",
         ("docs/learning-spoiled.md",),
         "python benchmarks/learning_spoiled.py",
