@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +17,10 @@ import pytest
 
 from probevo.cli.main import COMMANDS, HELP, main
 from probevo.noise import registry as noise_models
+from probevo.odometry import StereoOdometry
 from probevo.predictors import registry as predictors
 from probevo.sequences import registry as formats
+from probevo.state import OdometryState
 from test_style import WORDS
 
 ROOT = Path(__file__).parents[1]
@@ -269,3 +272,14 @@ def test_every_part_of_the_package_is_in_the_list_of_folders() -> None:
     parts = {f"{path.name}/" for path in package.iterdir() if (path / "__init__.py").exists()}
     parts |= {path.name for path in package.glob("*.py") if not path.name.startswith("__")}
     assert not {part for part in parts if f"`{part}`" not in table}
+
+
+def test_data_flow_names_the_methods_of_a_step_and_the_fields_of_the_state() -> None:
+    page = (ROOT / "docs" / "data-flow.md").read_text(encoding="utf-8")
+    a_step = page[page.index("## A step") : page.index("## State")]
+    methods = re.findall(r"`(_[a-z_]+)`", a_step)
+    assert methods
+    assert [name for name in methods if not hasattr(StereoOdometry, name)] == []
+    state = page[page.index("## State") : page.index("## Measurements and the estimator")]
+    fields_in_page = re.findall(r"^\| `(\w+)` \|", state, flags=re.MULTILINE)
+    assert sorted(fields_in_page) == sorted(field.name for field in fields(OdometryState))
