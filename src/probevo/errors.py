@@ -11,8 +11,6 @@ from reprlib import Repr
 
 LONGEST_VALUE = 80
 """Characters of a value that a message quotes."""
-LOAD_ERRORS = (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError)
-"""What loading the module of a broken entry point raises."""
 _SHORT = Repr()
 _SHORT.maxlevel = 2
 _SHORT.maxstring = LONGEST_VALUE

@@ -95,7 +95,7 @@ class StereoOdometry:
         predicts_from_motion = (
             bool(self.noise.columns) and self.predictors.depends_on_previous_motion
         )
-        self._self_calibrating = SelfCalibratingEstimator(
+        self._motion_estimator = SelfCalibratingEstimator(
             camera,
             VisualEstimator(
                 camera, self.noise, self.config, predicts_from_motion=predicts_from_motion
@@ -128,7 +128,8 @@ class StereoOdometry:
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
         measured = self._measure(prediction, observed, clock)  # measurements/: gyro, other sensors
-        solved = self._solve_or_recover(observed, measured, clock)  # noise/, estimation/: φ → R
+        # noise/, estimation/: φ → R → motion
+        solved = self._solve_or_recover(observed, measured, clock)
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
         # The state changes last, so that a step that raises leaves no trace.
@@ -359,7 +360,7 @@ class StereoOdometry:
             curr=pose_of(index),
             noise_factor=state.noise_scale.factor,
         )
-        calibrated = self._self_calibrating.estimate(
+        calibrated = self._motion_estimator.estimate(
             observed.corrected,
             observed.phi,
             priors,

@@ -102,7 +102,11 @@ class Prediction:
         if self.gyro is None or self.gyro_bias is None:
             return self.gyro_bias
         # If the gyro has entered the solve, the motion is not independent of it.
-        learn = self.gyro_bias.updated if enters_solve else self.gyro_bias.compared
+        learn = (
+            self.gyro_bias.updated_by_joint_solve
+            if enters_solve
+            else self.gyro_bias.updated_by_independent_solve
+        )
         return learn(self.gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
 
     def from_last_usable(self) -> tuple[Prediction, Recovery] | None:
@@ -266,7 +270,7 @@ class OdometryState:
                 )
                 rotation = RelativeRotation(
                     gyro.C_curr_prev,
-                    bias.prior(gyro),
+                    bias.rotation_cov(gyro),
                     curr=pose_of(frame.index),
                     prev=pose_of(self.frame.index),
                 )

@@ -293,7 +293,7 @@ def test_features_that_hardly_move_teach_no_noise() -> None:
     assert np.median(shift_px) < 0.5
     visual = estimate(tracks, noise=Scaled(scale=0.003**2 * np.eye(4)))
     assert visual.solution is not None
-    assert visual.solution.is_motion
+    assert visual.solution.exceeds_noise
     assert visual.estimated_noise_factor is None
 
 

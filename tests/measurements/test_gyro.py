@@ -116,7 +116,7 @@ def test_interval_of_no_length_is_no_rotation() -> None:
     gyro = integrate_gyro(samples(steady(np.ones(3))), START_NS, START_NS, calibration=CALIBRATION)
     np.testing.assert_array_equal(gyro.C_curr_prev, np.eye(3))
     bias = GyroBias.initial(CALIBRATION)
-    updated = bias.updated(gyro, gyro.C_curr_prev, np.zeros((3, 3)))
+    updated = bias.updated_by_joint_solve(gyro, gyro.C_curr_prev, np.zeros((3, 3)))
     np.testing.assert_array_equal(updated.mean, bias.mean)
     np.testing.assert_array_equal(updated.cov, bias.cov)
 
@@ -183,7 +183,7 @@ def test_sensitivity_to_the_bias_is_a_root_of_its_part_of_the_prior() -> None:
     for cov in (random_covariance(np.random.default_rng(0), 0.1), np.diag([1e-4, 0.0, 4e-4])):
         bias = GyroBias(np.zeros(3), cov)
         root = bias.sensitivity(gyro)
-        np.testing.assert_allclose(root @ root.T, bias.prior(gyro) - gyro.cov, atol=1e-12)
+        np.testing.assert_allclose(root @ root.T, bias.rotation_cov(gyro) - gyro.cov, atol=1e-12)
 
 
 def random_covariance(rng: np.random.Generator, sigma: float) -> FloatArray:
@@ -213,7 +213,7 @@ def test_updated_bias_is_that_of_joint_least_squares() -> None:
 
         gyro = GyroRotation(C_CAM_IMU, Q, J, duration_s=0.1)
         solved = so3.exp(joint[3:]) @ C_CAM_IMU
-        bias = GyroBias(np.full(3, 0.01), P).updated(gyro, solved, joint_cov[3:, 3:])
+        bias = GyroBias(np.full(3, 0.01), P).updated_by_joint_solve(gyro, solved, joint_cov[3:, 3:])
         np.testing.assert_allclose(bias.mean - 0.01, joint[:3], atol=1e-12)
         np.testing.assert_allclose(bias.cov, joint_cov[:3, :3], rtol=1e-8, atol=1e-12)
 
@@ -223,7 +223,7 @@ def test_solve_without_new_information_leaves_the_bias() -> None:
     gyro = integrate_gyro(
         samples(lambda t: coning(t)[1]), START_NS, END_NS, calibration=CALIBRATION
     )
-    same = bias.updated(gyro, gyro.C_curr_prev, bias.prior(gyro))
+    same = bias.updated_by_joint_solve(gyro, gyro.C_curr_prev, bias.rotation_cov(gyro))
     np.testing.assert_array_equal(same.mean, bias.mean)
     np.testing.assert_allclose(same.cov, bias.cov, atol=1e-18)
 
@@ -254,9 +254,11 @@ def filtered_bias_nees(rng: np.random.Generator, num_steps: int) -> float:
         )
         vision = so3.exp(rng.multivariate_normal(np.zeros(3), cov_vision)) @ true_rotation
         # The product of two Gaussians on the rotation stands in for the reprojection solve.
-        cov_solved = np.linalg.inv(np.linalg.inv(bias.prior(gyro)) + np.linalg.inv(cov_vision))
+        cov_solved = np.linalg.inv(
+            np.linalg.inv(bias.rotation_cov(gyro)) + np.linalg.inv(cov_vision)
+        )
         pull = cov_solved @ np.linalg.solve(cov_vision, so3.log(vision @ gyro.C_curr_prev.T))
-        bias = bias.updated(gyro, so3.exp(pull) @ gyro.C_curr_prev, cov_solved)
+        bias = bias.updated_by_joint_solve(gyro, so3.exp(pull) @ gyro.C_curr_prev, cov_solved)
     error = true_bias - bias.mean
     return float(error @ np.linalg.solve(bias.cov, error))
 

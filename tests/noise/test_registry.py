@@ -79,11 +79,11 @@ def test_an_entry_point_adds_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (["no_such_module:KIND"], "point0: no_such_module:KIND cannot be loaded"),
-        ([f"{__name__}:NOTHING"], "point0: .*:NOTHING cannot be loaded"),
-        ([f"{__name__}:Wide"], "point0: .* is of type type, where a NoiseKind is expected"),
-        ([f"{__name__}:FIXED_AGAIN"], "point0: .* 'fixed', whose name is taken"),
-        ([f"{__name__}:WIDE", f"{__name__}:WIDE"], "point1: .* 'wide', whose name is taken"),
+        (["no_such_module:KIND"], "point0 = no_such_module:KIND .* cannot be loaded"),
+        ([f"{__name__}:NOTHING"], "point0 = .*:NOTHING .* cannot be loaded"),
+        ([f"{__name__}:Wide"], "point0 = .* is of type type, not NoiseKind"),
+        ([f"{__name__}:FIXED_AGAIN"], "point0 = .* 'fixed', whose name is taken"),
+        ([f"{__name__}:WIDE", f"{__name__}:WIDE"], "point1 = .* 'wide', whose name is taken"),
     ],
 )
 def test_an_entry_point_that_is_broken_or_a_duplicate_is_named(

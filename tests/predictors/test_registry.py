@@ -133,7 +133,7 @@ def test_a_predictor_of_another_package_is_known_by_name_and_by_column(install: 
 @pytest.mark.parametrize(
     ("name", "complaint"),
     [
-        ("NO_PREDICTOR", "it is a function"),
+        ("NO_PREDICTOR", "it is of type function, not Predictor"),
         ("NAMED_BLUR", "the predictor blur, .* is taken"),
         ("WITH_COLUMN_X", "the predictor other, .* is taken"),
     ],

@@ -269,7 +269,10 @@ def test_format_of_another_package(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     [
         ([("drone", "no_such_package:DRONE")], "drone = no_such_package:DRONE .*cannot be loaded"),
         ([("drone", f"{__name__}:CAR")], "drone = .*cannot be loaded .*has no attribute 'CAR'"),
-        ([("drone", f"{__name__}:NOT_A_FORMAT")], "drone = .*it is a int, not a SequenceFormat"),
+        (
+            [("drone", f"{__name__}:NOT_A_FORMAT")],
+            "drone = .*it is of type int, not SequenceFormat",
+        ),
         ([("car", f"{__name__}:DRONE")], "car = .*its format is called 'drone', not 'car'"),
         ([("euroc", f"{__name__}:DRONE")], "euroc = .*already known"),
         ([("drone", f"{__name__}:DRONE")] * 2, "drone = .*already known"),

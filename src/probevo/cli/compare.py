@@ -42,7 +42,7 @@ class CompareArguments:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results. Files of the same name are replaced; runs of earlier comparisons are
     kept."""
-    noise: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ESTIMATOR…")] = ("fixed", "student-t")
+    noise: Annotated[tuple[str, ...], tyro.conf.arg(metavar="MODEL…")] = ("fixed", "student-t")
     """The estimators: fixed, student-t and model files (.safetensors), as in `probevo run`, and
     aggressive, which is fixed with RANSAC at a confidence of 0.9999. With the default settings,
     fixed and aggressive are the nominal and the aggressive estimator of PROBE."""

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 """Name and text of each line; the names of warnings start with "!"."""
 USUAL_VIEW_DEG = (20.0, 150.0)
+"""Usual horizontal field of view."""
 USUAL_BASELINE_M = (0.03, 3.0)
 USUAL_RATE_HZ = (0.5, 500.0)
+"""Usual rate of frames, from time lapse to high speed."""
 USUAL_DEPTH_M = (0.2, 300.0)
 """Usual median distance of what a stereo camera sees."""
 FEWEST_TRACKS = 20

@@ -44,7 +44,7 @@ and estimates the covariance of each step.
       estimate the trajectory of a recording, with covariances and a report
   probevo train SEQUENCE… --out MODEL
       learn a noise model from recordings
-  probevo compare SEQUENCE… --noise ESTIMATOR… --out DIR
+  probevo compare SEQUENCE… --noise MODEL… --out DIR
       run several estimators on several recordings and compare them
   probevo inspect SEQUENCE --model MODEL --out DIR
       show what a model learned, and the noise it predicts for the features of a frame

@@ -19,6 +19,8 @@ from probevo.geometry import se3, so3
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING = 1e-9
+"""Levenberg–Marquardt's damping, relative to the diagonal of the information: the first one, and
+the least that it falls to."""
 _CONVERGED_BELOW = 1e-9
 """Length of a step ξ, m and rad together, at which it has converged."""
 _LEAST_INFORMATION = 1e-12

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.measurements.stereo_numba import BEHIND
 
 OUTLIER_BELOW = 0.1
 """Weight below which a track is dropped."""
@@ -33,6 +34,24 @@ def feature_weights(solution: ReprojectionSolution, dof: FloatArray, loss: str) 
             those of any other loss are its robust weights.
     """
     return comparable_weights(solution, dof) if loss == "noise" else solution.weight
+
+
+def num_inliers(weights: FloatArray) -> int:
+    """Return how many of N weights are those of inliers."""
+    return int((weights >= INLIER_FROM).sum())
+
+
+def agree_with_noise(squared: FloatArray, dof: FloatArray, factor: float = 1.0) -> BoolArray:
+    """Return which of N residuals their noise explains, [N].
+
+    Args:
+        squared: s = eᵀ Σ⁻¹ e of each, [N]; ``BEHIND`` for a point that has no residual.
+        dof: degrees of freedom of each, [N].
+        factor: by which the variances of the noise are multiplied.
+    """
+    explained = tail_probability_of(squared / factor, dof) > LEAST_TAIL
+    agree: BoolArray = (squared < BEHIND) & explained
+    return agree
 
 
 def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:

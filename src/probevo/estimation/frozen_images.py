@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
-from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.motion_model import INNOVATION_GATE, MotionModel, MotionPrediction
 from probevo.sequences.frame import Frame
 
 BLOCK_PX = 8
@@ -41,7 +41,7 @@ def are_frozen(
         return False
     if _is_repeated(prev_frame, frame):
         return True
-    cannot_rest = prediction.contradicts(np.eye(4), np.zeros((6, 6)))
+    cannot_rest = prediction.squared_distance(np.eye(4), np.zeros((6, 6))) > INNOVATION_GATE
     return (were_frozen or cannot_rest) and _looks_repeated(prev_frame, frame)
 
 

@@ -12,7 +12,7 @@ from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
-from probevo.estimation.feature_weights import INLIER_FROM, LEAST_TAIL, tail_probability_of
+from probevo.estimation.feature_weights import agree_with_noise, num_inliers
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.estimation.reprojection import (
@@ -21,7 +21,6 @@ from probevo.estimation.reprojection import (
     solve_reprojection,
 )
 from probevo.geometry import se3
-from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
 from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
@@ -116,7 +115,7 @@ def estimate_motion(
         cov=solution.cov,
         status=Status.OK if solution.converged else Status.NOT_CONVERGED,
         num_tracks=len(tracks),
-        num_inliers=int((solution.weight >= INLIER_FROM).sum()),
+        num_inliers=num_inliers(solution.weight),
         iterations=solution.iterations,
         num_used=int(used.sum()),
     )
@@ -156,7 +155,7 @@ def _agree(
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
     squared = evaluated_at(solution, observations).squared
     dof = np.broadcast_to(noise.dof, (len(tracks),))
-    return (squared < BEHIND) & (tail_probability_of(squared, dof) > LEAST_TAIL)
+    return agree_with_noise(squared, dof)
 
 
 def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:

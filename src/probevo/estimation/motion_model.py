@@ -88,17 +88,13 @@ class MotionPrediction:
             return False
         with_sudden_turn = cov.copy()
         with_sudden_turn[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
-        return self.contradicts(T_curr_prev, with_sudden_turn, gate)
+        return self.squared_distance(T_curr_prev, with_sudden_turn) > gate
 
-    def contradicts(
-        self, T_curr_prev: FloatArray, cov: FloatArray, gate: float = INNOVATION_GATE
-    ) -> bool:
-        """Return whether a motion with covariance ``cov`` lies beyond this squared Mahalanobis
-        distance of the prediction."""
+    def squared_distance(self, T_curr_prev: FloatArray, cov: FloatArray) -> float:
+        """Return the squared Mahalanobis distance of the prediction from a motion [4, 4] with
+        covariance [6, 6], whose error is independent."""
         innovation = self.innovation(T_curr_prev)
-        # Both are independent, so their covariances add up.
-        squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
-        return bool(squared > gate)
+        return float(innovation @ np.linalg.solve(self.cov + cov, innovation))
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class ReprojectionSolution:
     has none."""
 
     @property
-    def is_motion(self) -> bool:
+    def exceeds_noise(self) -> bool:
         """Whether the motion is much more than its noise (``LEAST_MOTION``)."""
         xi = se3.log(self.T_curr_prev)
         return bool(xi @ np.linalg.solve(self.cov, xi) > LEAST_MOTION)

@@ -111,7 +111,7 @@ def update_rig(
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig
-    if solution.is_motion:
+    if solution.exceeds_noise:
         updated = rig.with_image_errors(
             ImageEquations(
                 information=information[_IMAGE, _IMAGE],

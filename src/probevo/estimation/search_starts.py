@@ -22,15 +22,15 @@ from probevo.tracking.image_tracker import Followed
 REACH_PX = 30.0
 """Distance from the prediction within which the tracker, with its three pyramid levels, reliably
 finds a point."""
-NEAR_PX = 15.0
-"""If another rotation is this near to the predicted one, it is no further start. With 30 px, a step
-of raw 0005 was lost when only every fourth frame was used."""
+NEAR_PX = 0.5 * REACH_PX
+"""If another rotation is this near to the predicted one, it is no further start: the searches from
+both find the same points."""
 NEAR_ROLL_RAD = 0.1
 """The same for a turn about the optical axis."""
 FEWEST_KEPT = 0.5
 """If a smaller share of the previous features that are still in view is found, the search may have
 started in a wrong place."""
-COARSE_PX = 8
+REDUCTION = 8
 """Factor by which images are reduced for the coarse rotation."""
 
 
@@ -74,7 +74,7 @@ def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> Fl
     """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
     correlation)."""
     # In small images, a rotation by several degrees is a shift by a few pixels.
-    size = max(image.shape[1] // COARSE_PX, 2), max(image.shape[0] // COARSE_PX, 2)
+    size = max(image.shape[1] // REDUCTION, 2), max(image.shape[0] // REDUCTION, 2)
     prev_small, small = (
         cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         for each in (prev_image, image)
@@ -83,7 +83,7 @@ def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> Fl
     window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
     (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
     # A shift down by dv is a rotation about −x, a shift to the right by du one about +y.
-    angle = COARSE_PX * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
+    angle = REDUCTION * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
     rotation: FloatArray = so3.exp(angle)
     return rotation
 

@@ -141,7 +141,7 @@ class SensorFusion:
         pose: Variable,
         north: NorthConfig,
         *,
-        of_motion: Mapping[str, Sequence[_Innovation]],
+        of_motion: Mapping[str, Sequence[MotionInnovation]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
         """Update the pose with the measurements at a frame, and test each sensor.
 
@@ -225,7 +225,7 @@ class SensorFusion:
         )
 
 
-class _Innovation(NamedTuple):
+class MotionInnovation(NamedTuple):
     """Of a measurement of the motion."""
 
     squared: float | None
@@ -449,7 +449,7 @@ def solve_innovations(
     curr: Variable,
     solution: ReprojectionSolution | None,
     reckoned: MotionEstimate | None = None,
-) -> dict[str, list[_Innovation]]:
+) -> dict[str, list[MotionInnovation]]:
     """Return, by sensor, the innovations of its measurements of the motion.
 
     A correction replaces the motion of the solve, so it cannot be tested against it.
@@ -461,10 +461,10 @@ def solve_innovations(
         reckoned: the dead-reckoned motion that they are tested against without a solve; None if
             there is none either, and nothing is tested.
     """
-    found: dict[str, list[_Innovation]] = {}
+    found: dict[str, list[MotionInnovation]] = {}
     for reading in readings:
         of_motion = reading.of_motion(curr)
-        found[reading.name] = [_Innovation(None, 1.0)] * len(of_motion)
+        found[reading.name] = [MotionInnovation(None, 1.0)] * len(of_motion)
         if reading.corrects:
             continue
         if solution is not None:
@@ -478,15 +478,15 @@ def solve_innovations(
 
 def _reckoned_innovation(
     measurement: Measurement, curr: Variable, reckoned: MotionEstimate
-) -> _Innovation:
+) -> MotionInnovation:
     """Return the innovation of a measurement of the motion against a dead-reckoned one."""
     if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
-        return _Innovation(None, 1.0)
+        return MotionInnovation(None, 1.0)
     values = {variable: np.eye(4) for variable in measurement.variables}
     values[curr] = reckoned.T_curr_prev
     squared = measurement.innovation_squared(values, reckoned.cov, of=curr)
     threshold = large_residual_threshold(len(measurement.covariance))
-    return _Innovation(squared, bounded_weight(squared, threshold))
+    return MotionInnovation(squared, bounded_weight(squared, threshold))
 
 
 def motion_innovations(
@@ -495,7 +495,7 @@ def motion_innovations(
     curr: Variable,
     *,
     cov: FloatArray,
-) -> list[_Innovation]:
+) -> list[MotionInnovation]:
     """Return the innovations of a solve's own measurements of the motion.
 
     The residuals after a solve that used a measurement are too small for a test. The innovation is
@@ -514,10 +514,10 @@ def motion_innovations(
     values = {variable: np.eye(4) for one in measurements for variable in one.variables}
     values[curr] = T_curr_prev
     information = np.linalg.inv(cov)
-    found: list[_Innovation] = []
+    found: list[MotionInnovation] = []
     for measurement in measurements:
         weight = float(measurement.outcome(values).weight.min())
-        found.append(_Innovation(None, weight))
+        found.append(MotionInnovation(None, weight))
         if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
             continue
         # r = R_w (R_w + J P Jᵀ)⁻¹ ν for the innovation ν, with R_w the covariance over the weight.
@@ -531,5 +531,5 @@ def motion_innovations(
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
         # Tested with its own covariance R, not with that over the weight.
         squared = float(innovation @ np.linalg.solve(R + spread, innovation))
-        found[-1] = _Innovation(squared, weight)
+        found[-1] = MotionInnovation(squared, weight)
     return found

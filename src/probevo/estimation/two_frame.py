@@ -23,7 +23,7 @@ from probevo.estimation.disparity_filter import (
     update_at_known_motion,
     update_with_common_mode,
 )
-from probevo.estimation.feature_weights import INLIER_FROM, feature_weights
+from probevo.estimation.feature_weights import INLIER_FROM, feature_weights, num_inliers
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.measurements.base import MOTION, Measurement, PosePair, Variable
 from probevo.measurements.point_priors import DisparityPrior
@@ -51,7 +51,7 @@ class TwoFrameEstimate:
     @property
     def num_inliers(self) -> int:
         """Tracks with a weight of at least one half."""
-        return int((self.weights >= INLIER_FROM).sum())
+        return num_inliers(self.weights)
 
 
 class Estimator(Protocol):
@@ -131,8 +131,9 @@ class TwoFrameEstimator:
     ) -> None:
         self.camera = camera
         self.config = config
-        self._method = METHODS[config.method]
-        self._filters_disparities = filters_disparities and self._method.filters_disparities
+        # An alignment of points can use neither the disparity filter nor other common errors.
+        self._aligns_points = config.method == "alignment"
+        self._filters_disparities = filters_disparities and not self._aligns_points
 
     def solve(
         self,
@@ -145,14 +146,7 @@ class TwoFrameEstimator:
     ) -> ReprojectionSolution:
         """Solve for the motion by the method of the settings."""
         observations = self._observations(tracks, noise, DisparityPrior.none(), curr=curr)
-        return self._method.solve(
-            tracks,
-            observations,
-            guess=guess,
-            camera=self.camera,
-            config=self.config,
-            others=others,
-        )
+        return self._motion_of(tracks, observations, guess=guess, others=others)
 
     def estimate(
         self,
@@ -167,14 +161,8 @@ class TwoFrameEstimator:
         """Solve for the motion, then update the disparities of the inliers."""
         # Solve, with the filtered disparities as a prior on the points.
         prior = disparities.of_tracks(tracks)
-        solution = self._method.solve(
-            tracks,
-            self._observations(tracks, noise, prior.states, curr=curr),
-            guess=guess,
-            camera=self.camera,
-            config=self.config,
-            others=others,
-        )
+        observations = self._observations(tracks, noise, prior.states, curr=curr)
+        solution = self._motion_of(tracks, observations, guess=guess, others=others)
         weights = feature_weights(solution, noise.dof, self.config.loss)
         # The solve treated the errors of different tracks as independent. The filter's common-mode
         # errors correlate them, which is accounted for only now: an outlier would corrupt them, and
@@ -231,6 +219,30 @@ class TwoFrameEstimator:
             common=common,
         )
 
+    def _motion_of(
+        self,
+        tracks: Tracks,
+        observations: StereoObservations,
+        *,
+        guess: FloatArray,
+        others: Sequence[Measurement],
+    ) -> ReprojectionSolution:
+        """Solve by the method of the settings; the tracks are the observations."""
+        max_iterations = self.config.max_iterations
+        if self._aligns_points:
+            return _aligned_points(
+                tracks,
+                observations,
+                guess=guess,
+                camera=self.camera,
+                others=others,
+                max_iterations=max_iterations,
+            )
+        # PROBE-GK eq. 14
+        return solve_reprojection(
+            observations, guess=guess, others=others, max_iterations=max_iterations
+        )
+
     def _observations(
         self,
         tracks: Tracks,
@@ -239,8 +251,8 @@ class TwoFrameEstimator:
         *,
         curr: Variable = MOTION,
     ) -> StereoObservations:
-        if not self._method.filters_disparities:
-            noise = replace(noise, jitter_cov=None)  # an alignment does not model common errors
+        if self._aligns_points:
+            noise = replace(noise, jitter_cov=None)
         return StereoObservations.of(
             tracks.prev_px,
             tracks.curr_px,
@@ -259,106 +271,65 @@ def _has_history(prior: DisparityFilter, tracks: Tracks) -> BoolArray:
     return known
 
 
-class SolveMethod(Protocol):
-    """A way to solve for the motion, chosen by ``solver.method``."""
+def _aligned_points(
+    tracks: Tracks,
+    observations: StereoObservations,
+    *,
+    guess: FloatArray,
+    camera: StereoCamera,
+    others: Sequence[Measurement],
+    max_iterations: int,
+) -> ReprojectionSolution:
+    """Align triangulated points, each with its covariance (PROBE eqs. 7-15).
 
-    filters_disparities: bool
-    """Whether the method can use the disparity filter."""
+    Motion and covariance are the alignment's; all else is evaluated by reprojection at that motion.
 
-    def solve(
-        self,
-        tracks: Tracks,
-        observations: StereoObservations,
-        *,
-        guess: FloatArray,
-        camera: StereoCamera,
-        config: SolverConfig,
-        others: Sequence[Measurement],
-    ) -> ReprojectionSolution:
-        """Find the motion of N tracks, which are the observations, from a guess T_curr_prev."""
+    Args:
+        tracks: N tracks.
+        observations: the same, with their noise.
+        guess: T_curr_prev to start from, [4, 4].
+        camera: the rectified camera.
+        others: measurements of the motion, of which there must be none.
+        max_iterations: of the alignment.
 
-
-class _Reprojection:
-    """Minimise reprojection errors (PROBE-GK eq. 14)."""
-
-    filters_disparities = True
-
-    def solve(
-        self,
-        tracks: Tracks,
-        observations: StereoObservations,
-        *,
-        guess: FloatArray,
-        camera: StereoCamera,
-        config: SolverConfig,
-        others: Sequence[Measurement],
-    ) -> ReprojectionSolution:
-        """Minimise the reprojection errors of all tracks, and those of other measurements."""
-        return solve_reprojection(
-            observations, guess=guess, others=others, max_iterations=config.max_iterations
+    Raises:
+        InputError: the noise does not refer to single observations, or there are measurements of
+            the motion beside the tracks.
+    """
+    if others:
+        raise InputError(
+            "--solver.method",
+            "alignment takes no measurement of the motion beside the features, and a sensor has"
+            " given one.",
+            "Take reprojection.",
         )
-
-
-class _Alignment:
-    """Align triangulated points, each with its covariance (PROBE eqs. 7-15)."""
-
-    filters_disparities = False
-
-    def solve(
-        self,
-        tracks: Tracks,
-        observations: StereoObservations,
-        *,
-        guess: FloatArray,
-        camera: StereoCamera,
-        config: SolverConfig,
-        others: Sequence[Measurement],
-    ) -> ReprojectionSolution:
-        """Align the points. Motion and covariance are the alignment's; all else is evaluated by
-        reprojection at that motion.
-
-        Raises:
-            InputError: the noise does not refer to single observations, or there are measurements
-                of the motion beside the tracks.
-        """
-        if others:
-            raise InputError(
-                "--solver.method",
-                "alignment takes no measurement of the motion beside the features, and a sensor has"
-                " given one.",
-                "Take reprojection.",
-            )
-        noise = observations.noise
-        if noise.refers_to != "observation":
-            raise InputError(
-                "--solver.method",
-                "alignment needs the noise of each observation, but this model predicts that of"
-                " the residual.",
-                "Take reprojection, or another noise model.",
-            )
-        # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
-        dof = np.maximum(noise.dof, LEAST_VARIANCE_DOF)
-        covariance_per_scale = 1.0 / (1.0 - 2.0 / dof)[:, None, None]
-        prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
-        aligned = solve_alignment(
-            tracks.prev_px,
-            tracks.curr_px - noise.bias,
-            covariance_per_scale * prev_scale,
-            cov_curr_px=covariance_per_scale * noise.scale,
-            camera=camera,
-            guess=guess,
-            max_iterations=config.max_iterations,
+    noise = observations.noise
+    if noise.refers_to != "observation":
+        raise InputError(
+            "--solver.method",
+            "alignment needs the noise of each observation, but this model predicts that of the"
+            " residual.",
+            "Take reprojection, or another noise model.",
         )
-        # Evaluate residuals and weights in the image, so that statistics and reports mean the same
-        # for both methods.
-        solution = solve_reprojection(observations, guess=aligned.T_curr_prev, max_iterations=0)
-        return replace(
-            solution,
-            cov=aligned.cov,
-            iterations=aligned.iterations,
-            converged=aligned.converged,
-        )
-
-
-METHODS: dict[str, SolveMethod] = {"reprojection": _Reprojection(), "alignment": _Alignment()}
-"""By the name in the settings."""
+    # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
+    dof = np.maximum(noise.dof, LEAST_VARIANCE_DOF)
+    covariance_per_scale = 1.0 / (1.0 - 2.0 / dof)[:, None, None]
+    prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
+    aligned = solve_alignment(
+        tracks.prev_px,
+        tracks.curr_px - noise.bias,
+        covariance_per_scale * prev_scale,
+        cov_curr_px=covariance_per_scale * noise.scale,
+        camera=camera,
+        guess=guess,
+        max_iterations=max_iterations,
+    )
+    # Evaluate residuals and weights in the image, so that statistics and reports mean the same for
+    # both methods.
+    solution = solve_reprojection(observations, guess=aligned.T_curr_prev, max_iterations=0)
+    return replace(
+        solution,
+        cov=aligned.cov,
+        iterations=aligned.iterations,
+        converged=aligned.converged,
+    )

@@ -15,11 +15,10 @@ from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
-    INLIER_FROM,
-    LEAST_TAIL,
     OUTLIER_BELOW,
+    agree_with_noise,
+    num_inliers,
     scale_of_residuals,
-    tail_probability_of,
 )
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
@@ -35,7 +34,6 @@ from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, normalized_error_s
 from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
-from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale
 from probevo.noise.student_t import StudentT
@@ -107,7 +105,7 @@ class VisualMotion:
     @property
     def num_inliers(self) -> int:
         """Tracks with a weight of at least one half."""
-        return int((self.weights >= INLIER_FROM).sum())
+        return num_inliers(self.weights)
 
     @property
     def num_used(self) -> int:
@@ -159,7 +157,7 @@ class _Solve:
             solution: these tracks, under their noise and without any earlier frame.
         """
         shift_px = np.linalg.norm(self.tracks.curr_px[:, :2] - self.tracks.prev_px[:, :2], axis=1)
-        has_moved = solution.is_motion and np.median(shift_px) >= LEAST_SHIFT_PX
+        has_moved = solution.exceeds_noise and np.median(shift_px) >= LEAST_SHIFT_PX
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
         dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
@@ -490,7 +488,7 @@ class VisualEstimator:
         squared = evaluated_at(solution, observations).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _residual_scale(squared, noise)
-        agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
+        agree = agree_with_noise(squared, dof, factor)
         if noise_factor * factor > LARGEST_SCALE:
             agree[:] = False
         return _AdaptedNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
@@ -597,9 +595,8 @@ def evaluate_status(
     ):
         return Status.DEGENERATE
     # A minority of the tracks has to have more inliers (``MINORITY_FACTOR``).
-    num_inliers = int((weights >= INLIER_FROM).sum())
     is_minority = len(weights) < 0.5 * num_tracks
-    if num_inliers < config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1):
+    if num_inliers(weights) < config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.

@@ -21,18 +21,21 @@ from probevo.measurements.preintegration import HELD_NS
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 
+# Indices of δ, s − 1, b and τ among the eight unknowns
 MOUNTING = slice(0, 3)
 SCALE = 3
 BIAS = slice(4, 7)
 LAG = 7
-"""Indices of δ, s − 1, b and τ among the eight unknowns."""
 MOUNTING_SIGMA_RAD = 1.0
+"""Prior standard deviation of δ: nothing is known, since each start has its own mounting."""
 SCALE_SIGMA = 100.0
 """Prior standard deviation of s: degrees instead of radians are a factor of 57."""
 LAG_SIGMA_S = 0.1
+"""Prior standard deviation of τ."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.02)
 """Candidates for the lag at the start."""
 FEWEST_STEPS = 10
+"""Steps that the samples must cover, for eight unknowns."""
 _DIFFERENCE_S = 0.002
 """Half the step of the central difference by τ."""
 _ITERATIONS = 10

@@ -109,8 +109,8 @@ class GyroBias:
     """A Gaussian estimate of the gyro's bias, in the IMU's frame.
 
     One step is: ``predicted`` over the interval, ``integrate_gyro`` with ``mean``, a solve with
-    ``prior`` as the covariance of the gyro's rotation, ``updated`` with the rotation that came
-    out.
+    ``rotation_cov`` as the covariance of the gyro's rotation, ``updated_by_joint_solve`` with
+    the rotation that came out.
     """
 
     mean: FloatArray
@@ -128,7 +128,7 @@ class GyroBias:
         walked = calibration.gyro_bias_walk_rad_s2_sqrt_hz**2 * duration_s
         return GyroBias(self.mean, self.cov + walked * np.eye(3))
 
-    def prior(self, gyro: GyroRotation) -> FloatArray:
+    def rotation_cov(self, gyro: GyroRotation) -> FloatArray:
         """Return Q + J P Jᵀ: the covariance of the gyro's rotation with its bias marginalised, [3,
         3], rad².
 
@@ -150,7 +150,7 @@ class GyroBias:
         root: FloatArray = directions * np.sqrt(np.maximum(variances, 0.0)) @ directions.T
         return gyro.bias_jacobian @ root
 
-    def updated(
+    def updated_by_joint_solve(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation_posterior: FloatArray
     ) -> GyroBias:
         """Update the bias with a solve that had the gyro's rotation among its measurements.
@@ -173,14 +173,14 @@ class GyroBias:
         """
         return self._corrected(gyro, C_curr_prev_solved, cov_rotation_posterior, independent=False)
 
-    def compared(
+    def updated_by_independent_solve(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray
     ) -> GyroBias:
         """Update the bias with a solve that did not use the gyro.
 
         It is a Kalman update with r ~ N(J δb, Q + Σ).
 
-        The arguments are those of ``updated``; Σ is now independent of the gyro.
+        The arguments are those of ``updated_by_joint_solve``; Σ is now independent of the gyro.
         """
         return self._corrected(gyro, C_curr_prev_solved, cov_rotation, independent=True)
 
@@ -195,7 +195,9 @@ class GyroBias:
         P = self.cov
         Q = gyro.cov
         J = gyro.bias_jacobian
-        innovation_cov = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
+        innovation_cov = (
+            self.rotation_cov(gyro) + cov_rotation if independent else self.rotation_cov(gyro)
+        )
         # K = P Jᵀ S⁻¹, with S that of the innovation. A pseudo-inverse, so that an interval of zero
         # length, or a gyro without noise and bias, has no information instead of raising.
         K = P @ J.T @ np.linalg.pinv(innovation_cov, hermitian=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.measurements.preintegration_numba import (
     MeanSamples,
     PreintegrationSums,
@@ -20,18 +20,19 @@ from probevo.measurements.preintegration_numba import (
 )
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
-from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
+from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S, are_within
 
 FEWEST_SAMPLES = 5
 """Number of samples that cover any interval. Fewer, as those of an inertial navigation system at
 the rate of the frames, do not show how the acceleration changes between them, unless they follow
 one another closely."""
 CLOSE_NS = 1_000_000_000 // 55
-"""Samples that are not farther apart than this in the mean cover any interval, be they as few as
-two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 % at
-10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the mean
-averages the jitter of stamps, so that an IMU of either rate is used always or never. An interval of
-1/18 s or more has ``FEWEST_SAMPLES`` then, so that this counts for faster cameras only."""
+"""Samples that are not farther apart than this in the mean cover any interval, even if there are
+only two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 %
+at 10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the
+mean averages the jitter of stamps, so that an IMU of either rate is used always or never. An
+interval of 1/18 s or more has ``FEWEST_SAMPLES`` then, so that this counts for faster cameras
+only."""
 HELD_NS = 1_000
 """Stamps that are not farther apart are of one sample, which is held over an interval."""
 LONGEST_HOLE = 3.0
@@ -109,8 +110,8 @@ def preintegrate(
         return NoPreintegration("has samples of an interval of no length")
     if not np.isfinite(imu.accel_m_s2).any():
         return NoPreintegration(NO_ACCELEROMETER)
-    is_usable = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
-    is_usable &= _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+    is_usable = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
+    is_usable &= are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
     stamps_ns = imu.stamps_ns[is_usable]
     reason = _reason_against(stamps_ns, start_ns, end_ns)
     if reason:
@@ -192,8 +193,3 @@ def _means(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> Float
         [np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1
     )
     return 0.5 * (at_knots[:-1] + at_knots[1:])
-
-
-def _are_within(values: FloatArray, largest: float) -> BoolArray:
-    """Tell which rows, [J, 3], are finite and not implausibly large, [J]."""
-    return np.asarray((np.abs(values) <= largest).all(axis=1))

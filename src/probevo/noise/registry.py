@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import EntryPoint
 from typing import Any
 
-from probevo.entry_points import entry_points
+from probevo.entry_points import entry_points, entry_text, load_entry
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel, NoiseModel
 from probevo.noise.fixed import Fixed
@@ -93,34 +92,15 @@ def noise_kinds() -> Mapping[str, NoiseKind]:
     """
     kinds = {kind.name: kind for kind in _BUILT_IN}
     for entry in entry_points(group=ENTRY_POINTS):
-        kind = _load(entry)
+        kind = load_entry(entry, NoiseKind)
         if kind.name in kinds:
             raise InputError(
-                f"entry point {entry.name}",
-                f"{entry.value} registers the noise model {kind.name!r}, whose name is taken.",
+                entry_text(entry),
+                f"it registers the noise model {kind.name!r}, whose name is taken.",
                 "Uninstall one of the packages, or rename the kind.",
             )
         kinds[kind.name] = kind
     return kinds
-
-
-def _load(entry: EntryPoint) -> NoiseKind:
-    # What an import and a look-up raise; a package with other faults should show its own traceback.
-    try:
-        kind = entry.load()
-    except (ImportError, AttributeError, SyntaxError, TypeError, ValueError) as error:
-        raise InputError(
-            f"entry point {entry.name}",
-            f"{entry.value} cannot be loaded ({error}).",
-            "Repair or uninstall the package that registers it.",
-        ) from error
-    if not isinstance(kind, NoiseKind):
-        raise InputError(
-            f"entry point {entry.name}",
-            f"{entry.value} is of type {type(kind).__name__}, where a NoiseKind is expected.",
-            "Repair or uninstall the package that registers it.",
-        )
-    return kind
 
 
 def kind_of(model: NoiseModel) -> NoiseKind:

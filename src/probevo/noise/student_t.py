@@ -21,9 +21,11 @@ from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.student_t_fit import fit_static
 
 DOF = 2.5
+"""Degrees of freedom ν of an untrained model, close to the tails of real tracks. Fits to these have
+1.9 to 2.1, but for ν ≤ 2 there would be no variance."""
 SIGMA_PX = 0.17
-"""Default of an untrained model, close to the tails of real tracks. Fits to these have ν of 1.9 to
-2.1, but for ν ≤ 2 there would be no variance."""
+"""Standard deviation of each coordinate in an untrained model. It is where the odometry starts:
+how large the noise of a recording is, it learns while running (``estimation.noise_scale``)."""
 DEFAULT_SCALE = SIGMA_PX**2 * np.eye(4)
 TIME_CORRELATION_RATIO = 0.7
 """Default of an untrained model: the most likely ratio on both of KITTI's recordings with images

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
-from probevo.entry_points import entry_points
-from probevo.errors import LOAD_ERRORS, InputError
+from probevo.entry_points import entry_points, entry_text, load_entry
+from probevo.errors import InputError
 from probevo.predictors.acceleration import ACCELERATION
 from probevo.predictors.age import AGE
 from probevo.predictors.alignment import ALIGNMENT
@@ -74,18 +74,10 @@ def all_predictors() -> Mapping[str, Predictor]:
     found = dict(PREDICTORS)
     columns = {column for predictor in PREDICTORS.values() for column in predictor.columns}
     for entry in entry_points(group=ENTRY_POINTS):
-        where = f"entry point {entry.value} of {ENTRY_POINTS}"
-        try:
-            predictor = entry.load()
-        except LOAD_ERRORS as error:
-            what = f"it cannot be loaded ({type(error).__name__}: {error})."
-            cure = "Update or uninstall the package that provides it."
-            raise InputError(where, what, cure) from error
-        if not isinstance(predictor, Predictor):
-            raise InputError(where, f"it is a {type(predictor).__name__}.", "Name a Predictor.")
+        predictor = load_entry(entry, Predictor)
         if predictor.name in found or not columns.isdisjoint(predictor.columns):
             raise InputError(
-                where,
+                entry_text(entry),
                 f"the name of the predictor {predictor.name}, or of a column of it, is taken.",
                 "Give it other names, or uninstall its package.",
             )

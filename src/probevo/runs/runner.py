@@ -217,7 +217,7 @@ class _Records:
     timing: PairTiming
     """Whether left and right images belong to the same frames."""
     of_images: Rows
-    """Motions by the images alone, [N, 16], to compare with the accelerometer."""
+    """Motions of the two-frame solves, [N, 16], to compare with the accelerometer."""
     heights: GroundHeights
     """Heights above the ground, to compare with the known one."""
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from probevo.entry_points import entry_points
-from probevo.errors import LOAD_ERRORS, InputError, brief
+from probevo.entry_points import entry_points, entry_text, load_entry
+from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
     VIDEO_SUFFIXES,
     EurocOptions,
@@ -325,7 +325,7 @@ def sequence_formats() -> dict[str, SequenceFormat]:
     for entry in entry_points(group=ENTRY_POINTS):
         if entry.name in formats:
             raise InputError(
-                _entry_text(entry),
+                entry_text(entry),
                 "a format of this name is already known.",
                 "Uninstall one of the packages that provide it.",
             )
@@ -339,24 +339,14 @@ def _loaded(entry: EntryPoint) -> SequenceFormat:
     Raises:
         InputError: it cannot be loaded, or is no ``SequenceFormat`` of that name.
     """
-    cure = "Update or uninstall the package that provides it."
-    try:
-        found = entry.load()
-    except LOAD_ERRORS as error:
-        what = f"it cannot be loaded ({type(error).__name__}: {error})."
-        raise InputError(_entry_text(entry), what, cure) from error
-    if not isinstance(found, SequenceFormat):
-        what = f"it is a {type(found).__name__}, not a SequenceFormat."
-        raise InputError(_entry_text(entry), what, cure)
+    found = load_entry(entry, SequenceFormat)
     if found.name != entry.name:
-        what = f"its format is called {found.name!r}, not {entry.name!r}."
-        raise InputError(_entry_text(entry), what, cure)
+        raise InputError(
+            entry_text(entry),
+            f"its format is called {found.name!r}, not {entry.name!r}.",
+            "Update or uninstall the package that provides it.",
+        )
     return found
-
-
-def _entry_text(entry: EntryPoint) -> str:
-    """Return how a message names an entry point."""
-    return f"entry point {entry.name} = {entry.value} of {ENTRY_POINTS}"
 
 
 def open_sequence(

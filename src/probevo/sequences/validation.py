@@ -47,7 +47,7 @@ def validated(
     missing: list[str] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
-        has_gyro = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
+        has_gyro = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
         if not has_gyro.all():
             missing += _reasons(
                 imu.gyro_rad_s,
@@ -61,7 +61,7 @@ def validated(
             what = "IMU samples whose angular rate is a spike"
             missing.append(f"{is_spike.sum()} of {len(is_spike)} {what}")
             imu = _kept(imu, ~is_spike)
-        has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+        has_force = are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
         if not has_force.all():
             # An IMU without an accelerometer has no specific force at all: that is not a fault.
             if np.isfinite(imu.accel_m_s2).all(axis=1).any():
@@ -75,7 +75,7 @@ def validated(
         frame = replace(frame, imu=imu)
     features = frame.features
     if features is not None and features.pixels.shape == (len(features.ids), 4):
-        is_plausible = _are_within(features.pixels, LARGEST_PIXEL_PX)
+        is_plausible = are_within(features.pixels, LARGEST_PIXEL_PX)
         if not is_plausible.all():
             missing += _reasons(
                 features.pixels,
@@ -148,7 +148,7 @@ def usable_imu(frame: Frame) -> ImuSamples | None:
         return None
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None
-    return _kept(imu, _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S))
+    return _kept(imu, are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S))
 
 
 def _check_kind(
@@ -209,7 +209,7 @@ def _array_of(values: object, kinds: str, where: str, name: str) -> AnyArray:
     return array
 
 
-def _are_within(values: FloatArray, largest: float) -> BoolArray:
+def are_within(values: FloatArray, largest: float) -> BoolArray:
     """Return which rows, [N], of an array are finite and at most that large."""
     return np.asarray((np.abs(values) <= largest).all(axis=1))
 

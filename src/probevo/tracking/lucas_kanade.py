@@ -16,6 +16,7 @@ MIN_EIGENVALUE = 1e-4
 
 The matrix is divided by the window's area, in OpenCV's scaling."""
 MAX_ITERATIONS = 10
+"""On a pyramid level, at most."""
 MAX_STEP_PX = 0.1
 """Lucas–Kanade has converged on a pyramid level when its step is shorter."""
 LEVELS_IF_NEAR = 2

@@ -41,6 +41,7 @@ from probevo.estimation.window.inertial_states import (
 )
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import (
     NO_ACCELEROMETER,
@@ -55,17 +56,14 @@ from probevo.sequences.imu_calibration import ImuCalibration
 FRAMES_AT_START = 6
 """Number of frames of which the states are estimated at first; all frames of a shorter window."""
 FEWEST_AT_START = 4
-"""Least number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and ways, and the
-prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9 degrees of freedom. Three
-frames fit any forces, and would test nothing but the length of gravity."""
+"""Least number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and displacements,
+and the prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9 degrees of freedom.
+Three frames fit any forces, and would test nothing but the length of gravity."""
 LARGEST_EXCESS = 4.0
 """Largest χ² over its degrees of freedom, at the start and later: what factors and images together
 may be noisier than they say."""
 LARGEST_NOISE_FACTOR = 16.0
 """Largest factor of the samples' variances: four times the standard deviation of the data sheet."""
-FACTOR_GATE = 22.5
-"""Squared Mahalanobis distance, of six dimensions, beyond which a factor counts for little:
-99.9 %."""
 NUM_TESTED = 20
 """Last factors over which the noise is estimated, and those beyond the gate are counted."""
 FEWEST_INNOVATIONS = 8
@@ -330,7 +328,7 @@ def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Windo
         prediction.cov_of_samples / noise_factor,
     )
     squared = innovation.squared_distance(noise_factor)
-    is_gated = squared > FACTOR_GATE
+    is_gated = squared > MOTIONS_DIFFER_FROM
     inertial = inertial.tested(innovation, is_gated=is_gated)
     # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:

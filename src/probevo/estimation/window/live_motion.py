@@ -16,6 +16,7 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstima
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 
 LARGEST_ATTITUDE_SIGMA_RAD = 0.2
 """Standard deviation of the attitude in the world up to which covariances of poses in the world
@@ -24,9 +25,6 @@ LARGEST_POSITION_SHARE = 1e5
 """Variance of the position in the world, over that of the translation of a step, up to which they
 may be. A position known to 10 m beside a step known to 3 mm has 10⁷. With 10⁴ to 10⁶, the NEES of
 steps of two rendered streets and of KITTI's raw drive 0039 is the same to 0.02."""
-LARGEST_FORESEEN = 22.5
-"""Squared length, in units of its covariance, up to which the correction of a pose is what the
-covariance had foreseen: 99.9 % of χ²(6)."""
 
 
 def live_motion(motion: MotionEstimate, before: Window, after: Window) -> MotionEstimate:
@@ -79,7 +77,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     # T_curr_prev T_relative⁻¹: how far the step moved the previous pose, along the axes of the
     # current frame.
     correction = se3.log(T_curr_prev @ se3.inverse(T_relative))
-    if is_far or correction @ np.linalg.solve(cov, correction) > LARGEST_FORESEEN:
+    if is_far or correction @ np.linalg.solve(cov, correction) > MOTIONS_DIFFER_FROM:
         cov = cov + np.outer(correction, correction)
     # The path's covariance has to come out as that of the window, P_k = Ad P_{k−1} Adᵀ + cov(ε) + X
     # + Xᵀ: its growth less cov(ε) is split evenly into X and Xᵀ.

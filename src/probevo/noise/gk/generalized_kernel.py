@@ -37,10 +37,10 @@ from probevo.noise.student_t_fit import check_errors
 
 MAX_DOMAIN_SAMPLES = 5000
 """Number of samples from which the radius of the domain is estimated, at most."""
-REACH_FACTOR = 2.0
 REACH_QUANTILE = 0.99
-"""Unless given, ρ is this factor times the distance within which this share of the training data
-have their K nearest samples."""
+REACH_FACTOR = 2.0
+"""Unless given, ρ is ``REACH_FACTOR`` times the distance within which the share ``REACH_QUANTILE``
+of the training data have their K nearest samples."""
 MIN_REACH = 1e-6
 FAR_QUANTILE = 0.9
 """Outside of the domain, the noise is at least as large as at this quantile of the centers."""
