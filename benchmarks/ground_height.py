@@ -68,7 +68,7 @@ def row(camera: StereoCamera, frames: list[Frame], ratio: float) -> str:
     spent_s = 0.0
     for frame in frames:
         motion = odometry.step(replace(frame, imu=None))
-        seen = odometry.tracks.kept(odometry.used)
+        seen = odometry.tracks.subset(odometry.used)
         start_s = thread_time()
         heights.add(
             frame.stamp_ns,

@@ -91,7 +91,7 @@ def steps(sequence: Sequence, model: pv.noise.StudentT | pv.noise.Fixed) -> Iter
             used = odometry.used
             noise = odometry.noise.predict(odometry.phi[used])
             yield Step(
-                tracks=odometry.tracks.kept(used),
+                tracks=odometry.tracks.subset(used),
                 noise=replace(
                     noise.scaled(np.full(len(noise.dof), before.noise_scale.factor)),
                     jitter_cov=None if before.rig is None else before.rig.jitter.cov,

@@ -118,7 +118,7 @@ def coverage(world: PointWorld, model: pv.noise.NoiseModel) -> list[float]:
     for step, frame in zip(world.steps(), frames, strict=True):
         odometry.step(frame)
         noise = model.predict(odometry.phi).subset(np.flatnonzero(odometry.used))
-        tracks = odometry.tracks.kept(odometry.used)
+        tracks = odometry.tracks.subset(odometry.used)
         # No iteration is taken, so that residuals and their information are those at the truth.
         at_truth = solve_reprojection(
             StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=world.camera),

@@ -71,7 +71,7 @@ def track_only_far_features() -> None:
     def far(self: image_tracker.ImageTracker, followed: image_tracker.Followed) -> Tracked:
         tracked = complete(self, followed)
         disparity_px = tracked.tracks.prev_px[:, 0] - tracked.tracks.prev_px[:, 2]
-        return replace(tracked, tracks=tracked.tracks.kept(disparity_px < FAR_PX))
+        return replace(tracked, tracks=tracked.tracks.subset(disparity_px < FAR_PX))
 
     image_tracker.ImageTracker.with_new_features = far
 

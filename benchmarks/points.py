@@ -49,7 +49,7 @@ def oracle(world: PointWorld) -> Metrics:
         noise = StereoNoise(
             scale, np.full(count, np.inf), np.zeros((count, 4)), refers_to="observation"
         )
-        tracks = step.tracks.kept(inlier)
+        tracks = step.tracks.subset(inlier)
         solutions.append(
             solve_reprojection(
                 StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=world.camera),

@@ -118,7 +118,7 @@ def ours_over(
     odometry = pv.StereoOdometry(
         sequence.camera, model, sequence.imu, config={"estimator": estimator}
     )
-    for frame in prepare_ahead(sequence, odometry.config.tracker):
+    for frame in prepare_ahead(sequence, odometry.config.tracking_of_estimator):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
             keep(dict(motion.stage_ms))

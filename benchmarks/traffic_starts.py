@@ -123,7 +123,7 @@ def ranked(street: Street, index: int) -> list[Ranked]:
     for start in model.starts(step_s, model.predict(step_s, None)):
         tracks = tracker.follow(state, street.frames[index + 1], start).tracks
         found = find_consensus(tracks, camera, np.random.default_rng(0), guess=start)
-        motion = Supported(found.T_curr_prev, tracks.kept(found.inliers))
+        motion = Supported(found.T_curr_prev, tracks.subset(found.inliers))
         (right if street.is_right(found.T_curr_prev, index) else wrong).append(motion)
     fewest = FEWEST_UNPREDICTED * config.solver.min_tracks
     pairs = []

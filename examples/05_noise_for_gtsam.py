@@ -26,7 +26,7 @@ def factors_of(odometry: pv.StereoOdometry, before: Any) -> TrackFactors:
     noise = noise.scaled(np.full(len(noise.dof), before.noise_scale.factor))
     if before.rig is not None:
         noise = replace(noise, jitter_cov=before.rig.jitter.cov)
-    tracks = odometry.tracks.kept(odometry.used)
+    tracks = odometry.tracks.subset(odometry.used)
     return TrackFactors.of(tracks, noise, odometry.camera, before.disparities)
 
 

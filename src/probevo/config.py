@@ -324,7 +324,7 @@ class OdometryConfig(Settings):
     north: NorthConfig = NorthConfig()
 
     @property
-    def tracker(self) -> TrackingConfig:
+    def tracking_of_estimator(self) -> TrackingConfig:
         """The settings of the tracker, with the defaults that depend on the estimator."""
         if self.tracking.max_difference is not None:
             return self.tracking

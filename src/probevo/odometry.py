@@ -101,7 +101,7 @@ class StereoOdometry:
                 camera, self.noise, self.config, predicts_from_motion=predicts_from_motion
             ),
         )
-        self._tracker_config = self.config.tracker
+        self._tracker_config = self.config.tracking_of_estimator
         self._window_estimator = WindowEstimator(camera, self.config)
         self._state: OdometryState | None = None
 
@@ -171,7 +171,7 @@ class StereoOdometry:
         noise = self._state.observations.frames[-1].noise if self._state else None
         if noise is None:
             return Landmarks.none()
-        seen = self.tracks.kept(self.used)
+        seen = self.tracks.subset(self.used)
         return triangulated(seen.ids, seen.curr_px, noise, self.camera)
 
     @property

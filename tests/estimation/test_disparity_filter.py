@@ -364,7 +364,7 @@ def test_only_inliers_in_front_of_the_camera_are_kept() -> None:
     )
     assert disparities.ids.tolist() == [3, 7, 8, 9]
     ids = np.array([8, 2, 9, 100, 0])
-    states = disparities.of_tracks(replace(tracks.kept(np.arange(5)), ids=ids)).states
+    states = disparities.of_tracks(replace(tracks.subset(np.arange(5)), ids=ids)).states
     assert states.rows.tolist() == [0, 2]
     np.testing.assert_array_equal(states.disparity, disparities.states.disparity[[2, 3]])
 

@@ -152,7 +152,7 @@ def test_one_feature_is_enough_with_the_gyro() -> None:
 def test_repeated_features_do_not_break_the_minimal_solve() -> None:
     """Every sample is three times the same point: singular, so the guess stands."""
     tracks = seen_twice(np.random.default_rng(8), 1)
-    same = tracks.kept(np.zeros(3, np.int64))
+    same = tracks.subset(np.zeros(3, np.int64))
     found = consensus(same)
     assert np.isfinite(found.T_curr_prev).all()
 

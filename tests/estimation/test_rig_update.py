@@ -358,7 +358,7 @@ def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant(
 def test_features_that_fix_no_motion_teach_nothing() -> None:
     """Three of them at one point; a gyro may make up for it, but the normal equations of the
     features are singular."""
-    clean = seen_twice(np.random.default_rng(8), 1).kept(np.zeros(3, np.int64))
+    clean = seen_twice(np.random.default_rng(8), 1).subset(np.zeros(3, np.int64))
     rig = RigCalibration.initial()
     solution = solve(clean, StudentT())
     assert np.isnan(solution.cov).all()

@@ -130,7 +130,7 @@ def test_far_points_are_degenerate_though_all_is_finite() -> None:
 def test_points_all_in_one_place_are_degenerate() -> None:
     """They agree with the predicted motion, but do not fix it."""
     tracks = seen_twice(np.random.default_rng(7), 1)
-    same = tracks.kept(np.zeros(30, np.int64))
+    same = tracks.subset(np.zeros(30, np.int64))
     assert estimate(same, replace(UNKNOWN, T_curr_prev=FORWARD)).status is Status.DEGENERATE
 
 
@@ -454,7 +454,7 @@ def test_what_two_frames_say_leaves_out_the_gyro() -> None:
     assert with_gyro is not None
     assert without is not None
     np.testing.assert_array_equal(without.T_curr_prev, with_gyro.T_curr_prev)
-    inliers = tracks.kept(visual.used)
+    inliers = tracks.subset(visual.used)
     evaluated = solve_reprojection(
         StereoObservations.of(
             inliers.prev_px,
@@ -589,7 +589,7 @@ def test_a_noise_that_is_right_is_not_contradicted() -> None:
 def test_a_motion_that_cannot_be_contradicted_stands() -> None:
     """Two tracks do not fix a motion of their own."""
     tracks = street_and_car((0.2, 0.2), SIDEWAYS)
-    two = tracks.kept(np.arange(2))
+    two = tracks.subset(np.arange(2))
     solution, T_reference = reference_of(tracks, KnownNoise(3.0, 0.1), contradicting=two)
     np.testing.assert_array_equal(T_reference, solution.T_curr_prev)
 

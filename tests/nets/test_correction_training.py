@@ -185,7 +185,7 @@ def test_a_window_learns_from_the_motions_of_two_frames_and_is_corrected(
     sequence = open_sequence(walls[2])
     config = pv.OdometryConfig(estimator="window")
     steps = read_steps(sequence, FRAMES, config=config)
-    tracking = {"max_difference": config.tracker.max_difference}
+    tracking = {"max_difference": config.tracking_of_estimator.max_difference}
     two_frames = pv.OdometryConfig.model_validate({"tracking": tracking})
     expected = read_steps(sequence, FRAMES, config=two_frames)
     np.testing.assert_array_equal(steps.motions, expected.motions)

@@ -65,7 +65,7 @@ def test_row_offset_has_no_sign() -> None:
 
 def test_window_difference_is_unknown_if_others_have_tracked() -> None:
     difference = np.array([[0.0, 3.0], [1.0, 7.0]])
-    known = replace(TRACKS.kept(np.arange(50) < 2), difference=difference)
+    known = replace(TRACKS.subset(np.arange(50) < 2), difference=difference)
     np.testing.assert_allclose(window_difference(known), np.log(1.0 + difference), rtol=1e-12)
     values = window_difference(TRACKS)
     assert values.shape == (50, 2)
@@ -75,7 +75,7 @@ def test_window_difference_is_unknown_if_others_have_tracked() -> None:
 def test_alignment_is_sigma_and_correlation_of_the_place() -> None:
     left = np.array([[4.0, 1.2], [1.2, 1.0]])
     right = np.diag([0.25, 100.0])
-    known = replace(TRACKS.kept(np.arange(50) < 1), alignment_cov_px2=np.array([[left, right]]))
+    known = replace(TRACKS.subset(np.arange(50) < 1), alignment_cov_px2=np.array([[left, right]]))
     expected = [
         math.log(ALIGNMENT_FLOOR_PX + 2.0),
         math.log(ALIGNMENT_FLOOR_PX + 1.0),
@@ -88,7 +88,7 @@ def test_alignment_is_sigma_and_correlation_of_the_place() -> None:
 def test_alignment_is_finite_for_perfect_matches_and_for_none() -> None:
     cov_px2 = np.zeros((2, 2, 2, 2))
     cov_px2[1] = np.inf
-    known = replace(TRACKS.kept(np.arange(50) < 2), alignment_cov_px2=cov_px2)
+    known = replace(TRACKS.subset(np.arange(50) < 2), alignment_cov_px2=cov_px2)
     least = math.log(ALIGNMENT_FLOOR_PX)
     most = math.log(ALIGNMENT_FLOOR_PX + MOST_PX)
     np.testing.assert_allclose(

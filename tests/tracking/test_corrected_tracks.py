@@ -53,7 +53,7 @@ def test_a_delay_is_taken_off_at_each_frame_by_its_own_velocity() -> None:
     # What the velocity changes in the step is what the correction may be wrong by.
     change_px = expected - without_delay(tracks.curr_px, found.delay_s, 0.5 * TWIST_S, CAMERA)
     np.testing.assert_array_equal(found.tracks.right_error_px, change_px[:, 2:])
-    some = found.tracks.kept(np.array([3, 7]))
+    some = found.tracks.subset(np.array([3, 7]))
     np.testing.assert_array_equal(some.right_error_px, change_px[[3, 7], 2:])
     steady = unknown.at_twists(TWIST_S, TWIST_S, CAMERA)
     np.testing.assert_array_equal(steady.tracks.right_error_px, np.zeros((50, 2)))

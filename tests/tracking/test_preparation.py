@@ -58,7 +58,7 @@ def test_images_prepared_with_other_settings_are_prepared_again() -> None:
 def test_images_prepared_ahead_serve_either_estimator(estimator: str) -> None:
     config = OdometryConfig.model_validate({"estimator": estimator})
     frame = with_prepared_images(next(frames(1)), config.tracking)
-    assert prepare_images(frame, config.tracker) is frame.prepared
+    assert prepare_images(frame, config.tracking_of_estimator) is frame.prepared
 
 
 def test_features_need_no_preparation() -> None:

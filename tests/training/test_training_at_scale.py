@@ -232,7 +232,7 @@ class CutDrive(DriveInMemory):
     def parts(self) -> Iterator[Drive]:
         for first in range(0, len(self.drive.T_curr_prev), 5):
             steps = np.arange(len(self.drive.T_curr_prev))
-            yield self.drive.kept((steps >= first) & (steps < first + 5))
+            yield self.drive.subset((steps >= first) & (steps < first + 5))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.3])
@@ -305,10 +305,10 @@ def test_of_many_drives_some_steps_are_taken(
     for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
         stored = DriveOnDisk(tmp_path / name, 0, world.camera)
         pieces = np.array_split(np.arange(59), parts)
-        stored.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
+        stored.keep_drive((drive.subset(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
         stored.keep_supervision(nothing)
         short = DriveOnDisk(tmp_path / name, 1, world.camera)
-        short.keep_drive([drive.kept(np.arange(59) == 0)], str, 2)
+        short.keep_drive([drive.subset(np.arange(59) == 0)], str, 2)
         short.keep_supervision(nothing)
         thin = thinned([stored, short], 0, workers)
         metric = Metric.fitted(drive.phi)
@@ -324,7 +324,7 @@ def test_of_many_drives_some_steps_are_taken(
         k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()
     ]
     np.testing.assert_allclose(
-        one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4
+        one.curr_px, drive.subset(np.isin(np.arange(59), taken)).curr_px, atol=1e-4
     )
 
 
@@ -335,8 +335,8 @@ def test_across_a_gap_nothing_is_remembered() -> None:
     drive = drive_of(world)
     model = StudentT()
     steps = np.arange(23)
-    second = drive.kept(steps >= 12)
-    with_gap = drive.kept((steps < 6) | (steps >= 12))
+    second = drive.subset(steps >= 12)
+    with_gap = drive.subset((steps < 6) | (steps >= 12))
 
     def solved(part: Drive) -> FloatArray:
         return solve_drive(in_memory(part, world), model.predict, SolverConfig()).T_curr_prev

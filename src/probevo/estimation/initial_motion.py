@@ -57,7 +57,7 @@ def initial_motion(
     )
     # As in PROBE, without RANSAC
     if config.ransac.mode == "off":
-        T_curr_prev = _centroid_motion(tracks.kept(plausible), camera, prediction.T_curr_prev)
+        T_curr_prev = _centroid_motion(tracks.subset(plausible), camera, prediction.T_curr_prev)
         return Consensus(T_curr_prev, plausible)
     # RANSAC samples the translation alone where the gyro knows the rotation.
     C_curr_prev = None
@@ -66,7 +66,7 @@ def initial_motion(
     # If there are hardly any inliers, the tracks are noisier than the threshold assumes: widen it.
     for widening in WIDENINGS:
         consensus = find_consensus(
-            tracks.kept(plausible),
+            tracks.subset(plausible),
             camera,
             rng=rng,
             guess=prediction.T_curr_prev,

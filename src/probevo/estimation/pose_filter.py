@@ -81,7 +81,7 @@ class PoseFilter:
         return self.joint_cov[:POSE, :POSE]
 
     def slice_of(self, variable: Variable) -> slice | None:
-        """Return the place of a further state in the joint covariance; None if there is none."""
+        """Return where a further state is in the joint covariance; None if there is none."""
         start = POSE
         for state in self.further:
             stop = start + len(state.value)

@@ -48,7 +48,7 @@ class Supported(NamedTuple):
         predicted_px = transfer(self.tracks.prev_px, T_curr_prev, camera)
         error_px = np.abs(predicted_px - self.tracks.curr_px)[:, :3]
         # Negated, since points that get behind the camera have no place, NaN.
-        return self.tracks.kept(~np.all(error_px <= against_px, axis=1))
+        return self.tracks.subset(~np.all(error_px <= against_px, axis=1))
 
 
 def outranks(
@@ -103,8 +103,8 @@ def rival_near_prediction(
         confidence=CONFIDENCE,
     )
     is_ranked_higher = outranks(
-        Supported(found.T_curr_prev, tracks.kept(found.inliers)),
-        Supported(best.T_curr_prev, tracks.kept(best.inliers)),
+        Supported(found.T_curr_prev, tracks.subset(found.inliers)),
+        Supported(best.T_curr_prev, tracks.subset(best.inliers)),
         camera,
         fewest=config.solver.min_tracks,
         against_px=threshold_px,

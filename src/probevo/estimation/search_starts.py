@@ -101,7 +101,7 @@ class _Agreement(NamedTuple):
     @property
     def supported(self) -> Supported:
         """The motion with the tracks that agree."""
-        agreeing = self.followed.tracks.kept(self.consensus.inliers)
+        agreeing = self.followed.tracks.subset(self.consensus.inliers)
         return Supported(self.consensus.T_curr_prev, agreeing)
 
 

@@ -184,7 +184,7 @@ class SelfCalibratingEstimator:
                 )
             # What the solve shows of the rig; solve again if that is more jitter than the solve
             # assumed.
-            used = corrected.tracks.kept(visual.used)
+            used = corrected.tracks.subset(visual.used)
             updated, common_mode = update_rig(rig, used, visual.two_frames_only, self._camera)
             if not repeats_left or not updated.jitter.exceeds(jitter_cov):
                 break

@@ -238,7 +238,7 @@ class _Suspect(NamedTuple):
     """A sensor that has failed a test."""
 
     sensor: int
-    """Its place among the sensors."""
+    """Its index among the sensors."""
     ratio: float
     """Its statistic over the threshold."""
     shows: str
@@ -373,9 +373,9 @@ def _with_offsets(
 ) -> Iterator[tuple[Variable, VectorMeasurement]]:
     """Yield the measurements whose offset can be estimated, each with the variable of its
     offset."""
-    for place, measurement in enumerate(measurements):
+    for number, measurement in enumerate(measurements):
         if isinstance(measurement, VectorMeasurement) and not measurement.has_own_loss:
-            yield Variable(kind=f"offset {len(measurement.covariance)}", frame=place), measurement
+            yield Variable(kind=f"offset {len(measurement.covariance)}", frame=number), measurement
 
 
 class WithOffset(VectorMeasurement):

@@ -355,7 +355,7 @@ class VisualEstimator:
         """
         # First with the predicted noise.
         used = consensus.inliers
-        inliers = tracks.kept(used)
+        inliers = tracks.subset(used)
         noise = self._noise_of(self._noise, inliers, phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
@@ -394,7 +394,7 @@ class VisualEstimator:
             return solve
         # Hardly a track fits the predicted noise, but most agree under a larger one. Solve again
         # with that, instead of rejecting a frame that is only noisy.
-        agreeing = tracks.kept(fitting.agree)
+        agreeing = tracks.subset(fitting.agree)
         larger = fitting.noise.subset(np.flatnonzero(fitting.agree))
         again = self._solve(
             agreeing,

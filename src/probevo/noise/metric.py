@@ -1,4 +1,4 @@
-"""The metric of a prediction space: the distance between two places φ.
+"""The metric of a prediction space: the distance between two points φ.
 
 Each column is standardised by the training data and multiplied by a weight w_m; the distance is
 Euclidean:  d² = Σ_m w_m² ((φ_m − φ'_m)/σ_m)².
@@ -53,7 +53,7 @@ class Metric:
         """Return the metric that standardises the training data [N, M], with all weights 1.
 
         Args:
-            predictors: places of the samples; NaN where undefined.
+            predictors: points of the samples; NaN where undefined.
             columns: names of the columns; by default "column 0", "column 1", …
             may_be_undefined: which columns may hold NaN; by default none.
 
@@ -146,9 +146,9 @@ class Metric:
         check_defined(predictors, self.columns, self.may_be_undefined)
         # The distance is the same without the columns of weight 0, and takes less time.
         columns = np.flatnonzero(self.weight)
-        return self.kept(columns)._standardised(predictors[:, columns])
+        return self.subset(columns)._standardised(predictors[:, columns])
 
-    def kept(self, columns: IntArray) -> Metric:
+    def subset(self, columns: IntArray) -> Metric:
         """Return the metric of some of the columns, given their indices."""
         return Metric(
             columns=tuple(self.columns[m] for m in columns),
@@ -179,7 +179,7 @@ def have_shapes(expected: Sequence[tuple[AnyArray, tuple[int, ...], type]]) -> b
 def check_defined(
     predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()
 ) -> None:
-    """Refuse places that are not [N, M], infinite, or NaN in a column that must be defined.
+    """Refuse points that are not [N, M], infinite, or NaN in a column that must be defined.
 
     Raises:
         InputError: states the shape, or the column and the first such value.

@@ -241,7 +241,7 @@ class _Records:
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
         self.of_images.add(odometry.T_of_images.ravel())
-        seen = odometry.tracks.kept(odometry.used)
+        seen = odometry.tracks.subset(odometry.used)
         self.heights.add(
             frame.stamp_ns,
             odometry.T_of_images,

@@ -110,13 +110,13 @@ def _search_cell(
             if not _is_local_maximum(image, first + j, top + i, strength=strength):
                 continue
             # Insert it into the sorted list of this cell.
-            place = len(strengths) - 1
-            while place > 0 and strengths[place - 1] < strength:
-                strengths[place] = strengths[place - 1]
-                indices[place] = indices[place - 1]
-                place -= 1
-            strengths[place] = strength
-            indices[place] = index
+            rank = len(strengths) - 1
+            while rank > 0 and strengths[rank - 1] < strength:
+                strengths[rank] = strengths[rank - 1]
+                indices[rank] = indices[rank - 1]
+                rank -= 1
+            strengths[rank] = strength
+            indices[rank] = index
             # From now on, a corner must be stronger than the last of a full list.
             least = max(least, strengths[-1])
     is_full: bool = strengths[-1] > 0

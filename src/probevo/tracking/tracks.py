@@ -64,7 +64,7 @@ class Tracks:
             age=np.zeros(0, np.int64),
         )
 
-    def kept(self, keep: BoolArray | IntArray) -> Tracks:
+    def subset(self, keep: BoolArray | IntArray) -> Tracks:
         """Return only some of the points: a mask [N], or indices."""
         return replace(
             self,

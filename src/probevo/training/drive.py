@@ -63,7 +63,7 @@ class Drive:
         """The step that each feature belongs to, [n]."""
         return np.repeat(np.arange(len(self.T_curr_prev)), np.diff(self.first_of_step))
 
-    def kept(self, steps: BoolArray) -> Drive:
+    def subset(self, steps: BoolArray) -> Drive:
         """Return the drive with the marked steps only, [K − 1]."""
         # The mask of the steps, spread to their features, [n]
         rows = steps[self.step_of_feature]

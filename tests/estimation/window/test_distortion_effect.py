@@ -97,6 +97,6 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
 def test_frames_are_left_out_by_mask_and_by_slice() -> None:
     effect, *_ = walked(np.random.default_rng(3))
     last = effect.of_pose(STEPS)
-    np.testing.assert_array_equal(effect.kept(slice(1, None)).of_pose(STEPS - 1), last)
+    np.testing.assert_array_equal(effect.subset(slice(1, None)).of_pose(STEPS - 1), last)
     keep = np.array([True, False, True, True, False, True])
-    np.testing.assert_array_equal(effect.kept(keep).of_pose(3), last)
+    np.testing.assert_array_equal(effect.subset(keep).of_pose(3), last)

@@ -19,7 +19,7 @@ from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.further_measurements import with_measurements
 from probevo.estimation.window.live_motion import live_motion
 from probevo.estimation.window.marginalization import (
-    LEAST_PLACE_INFORMATION,
+    LEAST_POSITION_INFORMATION,
     kept_positive,
     without_blind,
 )
@@ -616,7 +616,7 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     frames = drive(np.random.default_rng(64), 4, points=80, sigma_px=SIGMA_PX)
     by = estimator(frames=6)
     window = windows_of(frames[:3], by)[-1]
-    tracks = tracks_between(frames[2], frames[3]).kept(np.arange(2))
+    tracks = tracks_between(frames[2], frames[3]).subset(np.arange(2))
     two_frames = step_to(3, FORWARD)
     window = by.with_features(window, 3, tracks, noise_of(2), two_frames=two_frames)
     T, cov = window.relative(3, 2)
@@ -902,7 +902,7 @@ def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions()
     information[:-RIG, :-RIG] = between - 1e-7 * np.eye(2 * POSE)
     prior = kept_positive(MarginalPrior(information, np.zeros(len(information))))
     of_poses = prior.information[:-RIG, :-RIG]
-    assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * LEAST_PLACE_INFORMATION
+    assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * LEAST_POSITION_INFORMATION
     difference = np.kron(np.array([1.0, -1.0]), np.eye(POSE))
     cov = difference @ np.linalg.inv(of_poses) @ difference.T
     np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)

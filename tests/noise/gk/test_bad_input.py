@@ -196,8 +196,8 @@ def test_a_metric_in_which_no_column_counts_is_refused() -> None:
 @pytest.mark.parametrize(
     ("phi", "residuals", "message"),
     [
-        (places(59), errors(), "training data: 59 places, 60 residuals"),
-        (places(), errors(59), "training data: 60 places, 59 residuals"),
+        (places(59), errors(), "training data: 59 points, 60 residuals"),
+        (places(), errors(59), "training data: 60 points, 59 residuals"),
         (places(0), errors(0), "residuals: there is none"),
         (places(), np.zeros((COUNT, 3)), r"residuals: their shape is \(60, 3\), where \[N, 4\]"),
         (places(), np.zeros(COUNT), r"residuals: their shape is \(60,\)"),
@@ -215,7 +215,7 @@ def test_shapes_that_do_not_fit_are_refused(
 
 
 def test_groups_of_another_number_are_refused() -> None:
-    with pytest.raises(InputError, match="60 places, 60 residuals and 59 groups"):
+    with pytest.raises(InputError, match="60 points, 60 residuals and 59 groups"):
         GeneralizedKernel().fit(places(), errors(), np.arange(59))
 
 

@@ -160,9 +160,9 @@ def test_no_query_no_noise() -> None:
 
 def test_queries_do_not_change_the_centers() -> None:
     centers = Centers.of(grid(), random_students(25))
-    before = centers.places.tobytes(), centers.parameters.tobytes()
+    before = centers.points.tobytes(), centers.parameters.tobytes()
     at(centers, np.random.default_rng(3).normal(size=(20, 2)))
-    assert (centers.places.tobytes(), centers.parameters.tobytes()) == before
+    assert (centers.points.tobytes(), centers.parameters.tobytes()) == before
 
 
 @pytest.mark.parametrize("variant", ["robust", "published"])

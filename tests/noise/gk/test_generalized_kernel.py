@@ -286,11 +286,11 @@ def test_groups_are_left_out_together() -> None:
 def test_columns_without_weight_may_be_left_out() -> None:
     """The same predictions, without having to look at them; one that contributes may not."""
     model = trained(weights=np.array([2.0, 0.0]))
-    kept = model.kept(np.array([0]))
+    kept = model.subset(np.array([0]))
     assert kept.columns == ("place",)
     np.testing.assert_array_equal(kept.predict(INSIDE[:, :1]).scale, model.predict(INSIDE).scale)
     with pytest.raises(ValueError, match="contributes"):
-        model.kept(np.array([1]))
+        model.subset(np.array([1]))
 
 
 def test_given_hyperparameters_are_not_searched_for() -> None:

@@ -184,5 +184,5 @@ def test_an_alpha_that_is_no_positive_number_is_refused(alpha: float) -> None:
 
 
 def test_places_and_alphas_of_different_number_are_refused() -> None:
-    with pytest.raises(InputError, match="4 places, but 3 errors"):
+    with pytest.raises(InputError, match="4 points, but 3 errors"):
         NearestNeighbors(1).fit(PLACES, np.ones(3))

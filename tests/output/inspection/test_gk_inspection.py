@@ -103,8 +103,8 @@ def test_used_columns_come_in_the_order_of_their_gain(view: CentersView) -> None
 
 
 def test_centers_lie_where_the_samples_did(view: CentersView) -> None:
-    assert view.places.shape == (1500, 2)
-    holey, x = view.places.T
+    assert view.points.shape == (1500, 2)
+    holey, x = view.points.T
     assert np.isnan(holey).mean() == pytest.approx(0.2, abs=0.01)
     np.testing.assert_allclose(
         [np.nanmean(holey), np.nanstd(holey), x.mean(), x.std()], [2, 0.25, 0, 0.5], atol=0.03
@@ -112,8 +112,8 @@ def test_centers_lie_where_the_samples_did(view: CentersView) -> None:
 
 
 def test_the_noise_at_the_centers_is_that_of_the_data(view: CentersView) -> None:
-    undefined = np.isnan(view.places[:, 0])
-    x = view.places[:, 1]
+    undefined = np.isnan(view.points[:, 0])
+    x = view.points[:, 1]
     inner = np.abs(x) < 0.6
     dof = np.maximum(view.noise.dof, 2.5)  # at the rim, neighbours of all sizes make it small
     sigma = sigma_px(view.noise.scale) * np.sqrt(dof / (dof - 2.0))[:, None]
@@ -198,7 +198,7 @@ def test_rows_of_columns(view: CentersView) -> None:
     assert idle[:4] == ("idle", "", "–", "–")
     without_frame = column_table(view, None).text_rows()[1:]
     assert [row[-2] for row in without_frame] == ["–"] * 3
-    assert without_frame[0][-1] == f"{100 * np.isnan(view.places[:, 0]).mean():.1f} %"
+    assert without_frame[0][-1] == f"{100 * np.isnan(view.points[:, 0]).mean():.1f} %"
     assert without_frame[2][-1] == "–"  # the file does not say
 
 

@@ -34,7 +34,7 @@ def test_columns_are_in_the_order_in_which_alpha_varies() -> None:
     np.testing.assert_allclose(
         np.sort(model.log_alpha), np.sort(log_alpha - log_alpha.mean()), atol=1e-5
     )
-    np.testing.assert_allclose(np.isnan(model.places).mean(axis=0), [0, 0, 0.2])
+    np.testing.assert_allclose(np.isnan(model.points).mean(axis=0), [0, 0, 0.2])
 
 
 def test_radius_is_the_distance_to_the_kth_nearest() -> None:
@@ -76,7 +76,7 @@ def test_column_summaries_are_those_of_the_data() -> None:
 def test_without_a_frame_the_table_shows_the_training_data_only() -> None:
     model, _, _ = view()
     units = {"weak": "m", "strong": "", "holey": ""}
-    summaries = column_summaries(units, model.places, of_frame=False)
+    summaries = column_summaries(units, model.points, of_frame=False)
     assert [(column.unit, column.frame_mean) for column in summaries] == [
         ("m", None),
         ("", None),

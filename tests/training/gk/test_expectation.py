@@ -282,7 +282,7 @@ def slipping_drive(seed: int, steps: int, *, patches: int = 60) -> DriveInMemory
     exact truth at both ends."""
     tracks_of_steps = slipping_steps(np.random.default_rng(seed), steps, 10)
     share = 300 // patches
-    kept = [tracks.kept(np.flatnonzero(tracks.ids % share == 0)) for tracks in tracks_of_steps]
+    kept = [tracks.subset(np.flatnonzero(tracks.ids % share == 0)) for tracks in tracks_of_steps]
     counts = [len(tracks) for tracks in kept]
     drive = Drive(
         T_curr_prev=np.tile(STEP, (len(kept), 1, 1)),

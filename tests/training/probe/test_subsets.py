@@ -181,7 +181,7 @@ def test_alpha_is_the_error_of_the_subset_s_motion() -> None:
     features, alphas = sampler(contrast=0.0).iterate(2)
     noise = sampler().base.predict(np.zeros((SUBSET, 0)))
     for k, chosen in enumerate(by_step(DRIVE, features)):
-        tracks = DRIVE.tracks(k).kept(chosen - DRIVE.first_of_step[k])
+        tracks = DRIVE.tracks(k).subset(chosen - DRIVE.first_of_step[k])
         estimator = TwoFrameEstimator(WORLD.camera, sampler().solver)
         motion = estimator.solve(tracks, noise, guess=DRIVE.T_curr_prev[k]).T_curr_prev
         T_true = np.linalg.inv(WORLD.T_world_cam[k + 1]) @ WORLD.T_world_cam[k]

@@ -64,7 +64,7 @@ class DistortionEffect:
             focal_rms=0.0,
         )
 
-    def kept(self, frames: BoolArray) -> DistortionEffect:
+    def subset(self, frames: BoolArray) -> DistortionEffect:
         """Return the effect on some of the frames."""
         return replace(
             self,

@@ -57,7 +57,7 @@ from probevo.estimation.window.inertial_states import InertialSystem
 from probevo.estimation.window.jitter_elimination import (
     JitterElimination,
     eliminate_jitter,
-    jitter_places,
+    jitter_columns,
 )
 from probevo.estimation.window.marginalization import (
     kept_positive,
@@ -171,7 +171,7 @@ class WindowEstimator:
             window = replace(window, jitter_cov=solved.jitter_cov)
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
         rig = solved.corrected.rig
-        tracks = solved.corrected.simultaneous.kept(visual.used)
+        tracks = solved.corrected.simultaneous.subset(visual.used)
         if rig is not None:
             tracks = tracks.corrected_for_window(rig, self._camera)
         after = self.with_features(
@@ -367,7 +367,7 @@ class WindowEstimator:
             tracks: N tracks between these two frames, corrected by the rig's calibration but for
                 b₁ and b₂.
             noise: of these N tracks.
-            prev: place of the previous frame, which is the last one unless those after it are
+            prev: slot of the previous frame, which is the last one unless those after it are
                 blind.
         """
         # Which observation belongs to which landmark.
@@ -670,7 +670,7 @@ class WindowEstimator:
         """Return (Λ + S/c)⁻¹ for the information S about the rig, [4, 4], and its prior's, Λ.
 
         No observation makes the rig less certain than the prior. Where the window knows next to
-        nothing of its place, rounding may leave an S that is negative.
+        nothing of its position, rounding may leave an S that is negative.
         """
         # In units of the prior's standard deviations, Λ is the identity.
         sigma = np.diagonal(self._rig_information) ** -0.5
@@ -684,7 +684,7 @@ class WindowEstimator:
         window = system.window
         # Back-substitution in the reverse order of the elimination: jitters, then landmarks.
         of_jitters = system.jitter.offset - system.jitter.gain @ increment
-        at_jitter, at_others = jitter_places(len(window))
+        at_jitter, at_others = jitter_columns(len(window))
         of_all = np.empty(FRAME * len(window) + RIG)
         of_all[at_jitter] = of_jitters
         of_all[at_others] = increment

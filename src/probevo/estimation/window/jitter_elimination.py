@@ -27,7 +27,7 @@ class JitterElimination:
 
 
 @lru_cache(maxsize=32)
-def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
+def jitter_columns(num_frames: int) -> tuple[IntArray, IntArray]:
     """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 4].
 
     Both are kept for the next call with as many frames, and cannot be written to.
@@ -35,10 +35,10 @@ def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
     size = FRAME * num_frames + RIG
     is_jitter = np.zeros(size, np.bool_)
     is_jitter[: FRAME * num_frames].reshape(-1, FRAME)[:, POSE:] = True
-    places = np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
-    for place in places:
-        place.flags.writeable = False
-    return places
+    columns = np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
+    for part in columns:
+        part.flags.writeable = False
+    return columns
 
 
 def eliminate_jitter(
@@ -53,7 +53,7 @@ def eliminate_jitter(
     Returns:
         The equations of poses and rig, what finds the jitters, and the cost of their prior.
     """
-    jitter, others = jitter_places(len(window))
+    jitter, others = jitter_columns(len(window))
     information = np.linalg.inv(window.jitter_cov)
     towards_prior = -window.jitter @ information  # [K, 3]
     rows_of_jitter = equations.hessian[jitter]

@@ -126,7 +126,7 @@ def add_motions(
         trust: its weights.
         factors: work space, [4, 24].
         sums: receives the sums over frame and anchor, [K, K, 9, 24] (``add_pairs``).
-        equations: receives what the sums have no place for.
+        equations: receives what is not in the sums.
     """
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
@@ -398,9 +398,9 @@ def _add_neighbours(
     """Add the information between the motions from frame a to frame k and to frame p before it.
 
     Args:
-        k: place of the later frame.
-        p: place of the earlier one.
-        a: place of the anchor frame.
+        k: slot of the later frame.
+        p: slot of the earlier one.
+        a: slot of the anchor frame.
         cross: information between ζ_k and ζ_p, [9, 9]. Its transpose counts as well: of the blocks
             off the diagonal only the lower triangle is filled, in the anchor's own block both sum
             up.

@@ -36,7 +36,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
 
         cov(ε) = cov(ξ_k − Ad ξ_{k−1} after) + Ad (P_{k−1} before − P_{k−1} after) Adᵀ.
 
-    Where the place in the world is known much less than the step, as after blackouts or a long
+    Where the position in the world is known much less than the step, as after blackouts or a long
     drive, P is relative to the oldest frame of the window, of which a new frame tells next to
     nothing.
 

@@ -11,27 +11,27 @@ from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.window import MarginalPrior, Window, is_of_poses
 
 LEAST_SHARE = 1e-14
-"""Least information about the place of a window, over that about the motions within it: less is a
-matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
+"""Least information about the position of a window, over that about the motions within it: less is
+a matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
 kilometres; among points at a distance of a metre, that of a hundred metres."""
 LEAST_SHARE_OF_MOTIONS = 1e-12
 """The same for the least known state of a window whose oldest pose is held."""
-LEAST_PLACE_INFORMATION = 1e-6
-"""Least information about the place of a window that is left where rounding has lost it, m⁻²: that
-of a kilometre."""
+LEAST_POSITION_INFORMATION = 1e-6
+"""Least information about the position of a window that is left where rounding has lost it, m⁻²:
+that of a kilometre."""
 LENGTH_M = 10.0
-"""Lever arm: an attitude error of 1 rad counts as an error of the place by this length, where the
-information about both is compared."""
+"""Lever arm: an attitude error of 1 rad counts as an error of the position by this length, where
+the information about both is compared."""
 
 
 def pose_covariance(hessian: FloatArray) -> FloatArray:
     """Invert the Hessian of the poses, [6K, 6K].
 
-    The motions within the window are known far better than its place in the world, and after hours
-    with blackouts so much better that both are lost in one inversion. So the oldest pose is first
-    held by additional information B, the diagonal of its own block. With C the inverse then, and C₀
-    its columns of the oldest pose, the inverse without B is C + C₀ (B⁻¹ − C₀₀)⁻¹ C₀ᵀ (Woodbury).
-    The place is at least as well known as ``LEAST_SHARE`` says.
+    The motions within the window are known far better than its position in the world, and after
+    hours with blackouts so much better that both are lost in one inversion. So the oldest pose is
+    first held by additional information B, the diagonal of its own block. With C the inverse then,
+    and C₀ its columns of the oldest pose, the inverse without B is C + C₀ (B⁻¹ − C₀₀)⁻¹ C₀ᵀ
+    (Woodbury). The position is at least as well known as ``LEAST_SHARE`` says.
 
     Raises:
         numpy.linalg.LinAlgError: the motions are not known.
@@ -91,15 +91,15 @@ def with_pose(prior: MarginalPrior) -> MarginalPrior:
 def kept_positive(prior: MarginalPrior) -> MarginalPrior:
     """Return the prior with an information about its poses that is positive.
 
-    Rounding may lose what the prior says of the place of the window, beside the motions within it,
-    and leave negative eigenvalues. These are raised to ``LEAST_PLACE_INFORMATION``.
+    Rounding may lose what the prior says of the position of the window, beside the motions within
+    it, and leave negative eigenvalues. These are raised to ``LEAST_POSITION_INFORMATION``.
     """
     # A pose of which the prior says nothing has only zeros, and is no matter of rounding.
     poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
     block = np.ix_(poses, poses)
     of_poses = prior.information[block]
     # With a unit diagonal, Cholesky fails by what rounding has lost, whatever the scale of a pose.
-    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_PLACE_INFORMATION))
+    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_POSITION_INFORMATION))
     try:
         np.linalg.cholesky(of_poses / unit[:, None] / unit)
     except np.linalg.LinAlgError:
@@ -108,7 +108,9 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
         values, directions = np.linalg.eigh(of_poses / metres[:, None] / metres)
         directions = metres[:, None] * directions
         information = prior.information.copy()
-        information[block] = directions * np.maximum(values, LEAST_PLACE_INFORMATION) @ directions.T
+        information[block] = (
+            directions * np.maximum(values, LEAST_POSITION_INFORMATION) @ directions.T
+        )
         return replace(prior, information=information)
     return prior
 

@@ -132,11 +132,11 @@ class Window:
         return len(self.frames)
 
     def pose_slice(self, slot: int) -> slice:
-        """Return where the pose at a place of the window lies in the joint vector."""
+        """Return where the pose at a slot of the window lies in the joint vector."""
         return slice(POSE * slot, POSE * (slot + 1))
 
     def slot(self, frame: int) -> int:
-        """Return the place of a frame in the window.
+        """Return the slot of a frame in the window.
 
         Raises:
             InputError: the frame is not in the window.
@@ -173,7 +173,7 @@ class Window:
         return self.observations.slot[self.observations.start[1:] - 1]
 
     def has_common_landmarks(self, slot: int) -> bool:
-        """Return whether a landmark is seen both from the frame at this place and from the one
+        """Return whether a landmark is seen both from the frame in this slot and from the one
         before it."""
         slots = self.observations.slot
         rows = self.landmark_rows
@@ -184,8 +184,8 @@ class Window:
         """Return the motion T_slot_other between two frames of the window, and its covariance.
 
         Args:
-            slot: place of the frame to which it leads.
-            other: place of the frame that it starts from.
+            slot: slot of the frame to which it leads.
+            other: slot of the frame that it starts from.
 
         Returns:
             T_slot_other, [4, 4], m, and the covariance of its left perturbation, [6, 6].
@@ -200,7 +200,7 @@ class Window:
         return T, jacobian @ self.cov @ jacobian.T + between
 
     def pose(self, slot: int) -> SmoothedPose:
-        """Return the pose at a place of the window, with its covariance; −1 is the last."""
+        """Return the pose in a slot of the window, with its covariance; −1 is the last."""
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
@@ -226,7 +226,7 @@ class Window:
             T_cam_world=self.T_cam_world[stays],
             T_linear=self.T_linear[stays],
             is_blind=self.is_blind[stays],
-            distortion=self.distortion.kept(stays),
+            distortion=self.distortion.subset(stays),
             jitter=self.jitter[stays],
             cov=self.cov[np.ix_(kept, kept)],
             marginalized=(
@@ -244,7 +244,7 @@ class Window:
 
 
 def is_of_poses(frames: BoolArray) -> BoolArray:
-    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
+    """Mark the poses of some frames, [K], in the joint vector, [6K + 4]."""
     return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
 
 

@@ -23,7 +23,7 @@ from probevo.noise.gk.center_search_numba import (
 
 
 class NearestCenters(NamedTuple):
-    """The k centers nearest to each of n places, nearest first."""
+    """The k centers nearest to each of n points, nearest first."""
 
     centers: IntArray
     """Index of each center, [n, k]."""
@@ -46,15 +46,15 @@ class Leaves(NamedTuple):
     """Minimum and maximum of the first coordinates in each leaf, [2, HEAD, C / LEAF rounded up]."""
 
     @staticmethod
-    def of(places: FloatArray) -> Leaves:
+    def of(points: FloatArray) -> Leaves:
         """Sort C centers [C, M] into leaves."""
         # Rotate onto the principal axes, that of the largest variance first.
-        centered = places - places.mean(axis=0)
+        centered = points - points.mean(axis=0)
         axes = np.linalg.eigh(centered.T @ centered)[1][:, ::-1].astype(float)
-        rotated = _with_whole_head(places @ axes)
+        rotated = _with_whole_head(points @ axes)
         # Store them leaf by leaf; the last leaf is filled up with ∞.
         centers = _leaf_order(rotated[:, :HEAD])
-        count = len(places)
+        count = len(points)
         num_leaves = -(-count // LEAF)
         rows = np.full((num_leaves * LEAF, rotated.shape[1]), np.inf, np.float32)
         rows[:count] = rotated[centers]
@@ -74,7 +74,7 @@ class Leaves(NamedTuple):
         )
 
     def nearest(self, queries: FloatArray) -> NearestCenters:
-        """Find the NEAREST centers of n places [n, M], or all centers if there are fewer."""
+        """Find the NEAREST centers of n points [n, M], or all centers if there are fewer."""
         count = min(NEAREST, len(self.centers))
         found = NearestCenters(
             centers=np.zeros((len(queries), count), np.int64),
@@ -94,22 +94,22 @@ def _with_whole_head(rotated: FloatArray) -> SingleArray:
     return whole
 
 
-def _leaf_order(places: SingleArray) -> IntArray:
-    """Return an order of places [C, M] in which those of a leaf are close to each other.
+def _leaf_order(points: SingleArray) -> IntArray:
+    """Return an order of points [C, M] in which those of a leaf are close to each other.
 
-    The places are halved along their widest column until each part fits into a leaf, as in a k-d
+    The points are halved along their widest column until each part fits into a leaf, as in a k-d
     tree.
     """
     done: list[IntArray] = []
-    waiting = [np.arange(len(places))]
+    waiting = [np.arange(len(points))]
     while waiting:
         part = waiting.pop()
         if len(part) <= LEAF:
             done.append(part)
             continue
         # Split at a multiple of LEAF, so that all leaves but the last are full.
-        column = int(np.argmax(np.ptp(places[part], axis=0)))
-        order = part[np.argsort(places[part, column], kind="stable")]
+        column = int(np.argmax(np.ptp(points[part], axis=0)))
+        order = part[np.argsort(points[part, column], kind="stable")]
         # The part that is popped first is the lower one, so that the short leaf comes last.
         middle = LEAF * -(-len(part) // (2 * LEAF))
         waiting += [order[middle:], order[:middle]]

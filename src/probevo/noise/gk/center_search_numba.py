@@ -30,7 +30,7 @@ TINY = np.float32(1e-30)
 
 @compiled
 def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> None:
-    """Fill in the nearest centers of rotated places, [n, M].
+    """Fill in the nearest centers of rotated points, [n, M].
 
     It is one piece: passing rows of arrays to functions would take longer than the search.
     """
@@ -120,12 +120,12 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
             # Insert what is nearer into the sorted list.
             for i in range(LEAF):
                 if distance[i] < worst:
-                    place = last
+                    rank = last
                     total = distance[i]
-                    while place > 0 and squared[n, place - 1] > total:
-                        squared[n, place] = squared[n, place - 1]
-                        index[n, place] = index[n, place - 1]
-                        place -= 1
-                    squared[n, place] = total
-                    index[n, place] = leaf * LEAF + i
+                    while rank > 0 and squared[n, rank - 1] > total:
+                        squared[n, rank] = squared[n, rank - 1]
+                        index[n, rank] = index[n, rank - 1]
+                        rank -= 1
+                    squared[n, rank] = total
+                    index[n, rank] = leaf * LEAF + i
                     worst = min(worst, squared[n, last])

@@ -30,18 +30,18 @@ MIN_DOMAIN_RADIUS = 1e-6
 
 @dataclass(frozen=True)
 class Centers:
-    """C places in M dimensions, and the distribution at each."""
+    """C points in M dimensions, and the distribution at each."""
 
-    places: SingleArray
+    points: SingleArray
     """Coordinates, [M, C]."""
     parameters: SingleArray
     """Log-Cholesky parameters of each distribution, [C, NUM_PARAMETERS]."""
 
     @staticmethod
-    def of(places: FloatArray, fitted: StudentTBatch) -> Centers:
-        """Store the distributions that were fitted at C places [C, M]."""
+    def of(points: FloatArray, fitted: StudentTBatch) -> Centers:
+        """Store the distributions that were fitted at C points [C, M]."""
         return Centers(
-            places=np.ascontiguousarray(places.T, np.float32), parameters=fitted.log_cholesky()
+            points=np.ascontiguousarray(points.T, np.float32), parameters=fitted.log_cholesky()
         )
 
     @property
@@ -57,10 +57,10 @@ class Centers:
                 quantile, the distances between neighbouring centers count, too.
         """
         # Distances of the other training samples from their nearest centers.
-        tree = KDTree(self.places.T)
+        tree = KDTree(self.points.T)
         distance = np.asarray(tree.query(samples)[0]) if len(samples) else np.zeros(0)
         if len(samples) * (1.0 - DOMAIN_QUANTILE) < 1.0 and len(self.parameters) > 1:
-            to_next_center = np.ravel(tree.query(self.places.T, [2])[0])
+            to_next_center = np.ravel(tree.query(self.points.T, [2])[0])
             distance = np.concatenate([distance, to_next_center])
         if not len(distance):
             distance = np.ones(1)
@@ -70,7 +70,7 @@ class Centers:
     def at(
         self, queries: FloatArray, domain_radius: float, prior: StudentTBatch
     ) -> tuple[StudentTBatch, BoolArray]:
-        """Interpolate the distributions at n places, [n, M].
+        """Interpolate the distributions at n points, [n, M].
 
         Over the outermost part of the domain, the interpolated distribution turns into the prior.
 
@@ -80,7 +80,7 @@ class Centers:
             prior: the distribution outside of the domain, C = 1.
 
         Returns:
-            The n distributions, and which places are outside of the domain, [n].
+            The n distributions, and which points are outside of the domain, [n].
         """
         count = len(queries)
         mixed = StudentTBatch(
@@ -94,9 +94,9 @@ class Centers:
             domain_radius=domain_radius,
             mixed=mixed,
         )
-        # Beyond the radius the share of the centers is 0: such a place has the prior.
+        # Beyond the radius the share of the centers is 0: such a point has the prior.
         return mixed, np.asarray(nearest.squared[:, 0] >= domain_radius**2)
 
     @cached_property
     def _leaves(self) -> Leaves:
-        return Leaves.of(self.places.T.astype(np.float64))
+        return Leaves.of(self.points.T.astype(np.float64))

@@ -1,6 +1,6 @@
 """PROBE-GK: the noise of each feature from the errors of similar features (thesis section 1.5).
 
-Training data are errors e_i at places φ_i of the prediction space. The noise of a new feature at φ
+Training data are errors e_i at points φ_i of the prediction space. The noise of a new feature at φ
 is the posterior predictive Student-t of the errors around it (PROBE-GK eq. (12)),
 
     e | φ ~ t_ν(φ)(b(φ), Σ(φ)),
@@ -51,7 +51,7 @@ class GeneralizedKernel:
 
     Args:
         variant: ``robust``, or ``published`` as in the paper (see ``posterior``).
-        neighbors: K, the number of errors that contribute at a place. This and the next five
+        neighbors: K, the number of errors that contribute at a point. This and the next five
             arguments are chosen from the data if None.
         reach: support ρ, in standard deviations; samples farther away do not contribute.
         prior_counts: number of errors that the prior scale counts for; in the published variant
@@ -59,7 +59,7 @@ class GeneralizedKernel:
         dof_counts: the same for the prior degrees of freedom; np.inf holds them.
         bias_counts: the same for the bias, whose prior is zero; np.inf holds it there.
         weights: weight of each of the M standardised columns in the distance, [M].
-        centers: number of places at which the fitted noise is stored.
+        centers: number of points at which the fitted noise is stored.
         refers_to: whether the errors are residuals, or errors of single observations.
         camera: camera of the training data; None if it is unknown.
         training: settings, recordings and searches of the training, in plain values that JSON can
@@ -122,7 +122,7 @@ class GeneralizedKernel:
         ``domain_radius_``, ``prior_`` and ``num_samples_``, which is N.
 
         Args:
-            predictors: places φ of the samples, [N, M].
+            predictors: points φ of the samples, [N, M].
             residuals: their errors e, [N, 4], px.
             groups: number of the group of each sample, [N]. A group, such as a block of time of a
                 drive, is held out as a whole; by default blocks of consecutive samples.
@@ -161,10 +161,10 @@ class GeneralizedKernel:
         samples = replace(samples, coordinates=self._coordinates(predictors))
         self.posterior_ = KernelPosterior.of(samples, published=published)
         center_rows = evenly(len(residuals), int(self.centers))
-        places = samples.coordinates[center_rows]
-        # A support that was not chosen covers nearly all places with K neighbours.
+        points = samples.coordinates[center_rows]
+        # A support that was not chosen covers nearly all points with K neighbours.
         if not np.isfinite(shape.reach):
-            radius = self.posterior_.radius(places, shape.neighbors)
+            radius = self.posterior_.radius(points, shape.neighbors)
             reach = REACH_FACTOR * float(np.quantile(radius, REACH_QUANTILE))
             shape = replace(shape, reach=max(reach, MIN_REACH))
         self.shape_ = shape
@@ -172,8 +172,8 @@ class GeneralizedKernel:
 
         # Store the predictive distribution at the centers, which are some of the samples, and learn
         # from the other samples where the domain ends.
-        fitted, _ = self.posterior_.at(places, shape)
-        self.centers_ = Centers.of(places, fitted)
+        fitted, _ = self.posterior_.at(points, shape)
+        self.centers_ = Centers.of(points, fitted)
         other_rows = np.setdiff1d(np.arange(len(residuals)), center_rows)
         other_rows = other_rows[evenly(len(other_rows), MAX_DOMAIN_SAMPLES)]
         self.domain_radius_ = self.centers_.domain_radius_of(samples.coordinates[other_rows])
@@ -181,7 +181,7 @@ class GeneralizedKernel:
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """Return the noise of n features from their places in the prediction space, [n, M].
+        """Return the noise of n features from their points in the prediction space, [n, M].
 
         It is interpolated between the centers; its cost does not depend on N.
         """
@@ -259,7 +259,7 @@ class GeneralizedKernel:
         if not len(predictors) == len(residuals) == num_groups:
             raise InputError(
                 "training data",
-                f"{len(predictors)} places, {len(residuals)} residuals and {num_groups} groups.",
+                f"{len(predictors)} points, {len(residuals)} residuals and {num_groups} groups.",
             )
 
     def _given(self) -> dict[str, Any]:
@@ -276,7 +276,7 @@ class GeneralizedKernel:
         del model.posterior_
         return model
 
-    def kept(self, columns: IntArray) -> GeneralizedKernel:
+    def subset(self, columns: IntArray) -> GeneralizedKernel:
         """Return the same model on some of its columns, given their indices.
 
         Raises:
@@ -287,7 +287,7 @@ class GeneralizedKernel:
         if metric.weight[left_out].any():
             raise ValueError("a column that contributes cannot be left out")
         model = copy(self)
-        model.metric_ = metric.kept(columns)
+        model.metric_ = metric.subset(columns)
         model.weights_ = self.weights_[columns]
         return model
 
@@ -306,7 +306,7 @@ class GeneralizedKernel:
         shape = self.shape_
         arrays: dict[str, AnyArray] = {
             **metric.arrays,
-            "places": self.centers_.places,
+            "places": self.centers_.points,
             "values": self.centers_.parameters,
             "prior_scale": prior.scale,
             "prior_dof": prior.dof,
@@ -345,7 +345,7 @@ class GeneralizedKernel:
             jitter_cov=jitter_cov_of(file),
         )
         model.metric_ = Metric.from_arrays(facts.columns, facts.may_be_undefined, arrays)
-        model.centers_ = Centers(places=arrays["places"], parameters=arrays["values"])
+        model.centers_ = Centers(points=arrays["places"], parameters=arrays["values"])
         model.prior_ = StudentTBatch(
             scale=arrays["prior_scale"], dof=arrays["prior_dof"], bias=arrays["prior_bias"]
         )

@@ -64,7 +64,7 @@ SearchLog = dict[str, dict[str, Any]]
 
 
 def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> None:
-    """Refuse hyperparameters that are not valid for places of M columns.
+    """Refuse hyperparameters that are not valid for points of M columns.
 
     Raises:
         InputError: names the hyperparameter, its value and what is wrong.
@@ -198,7 +198,7 @@ class _HeldOut(NamedTuple):
     posterior: KernelPosterior
     """Of the samples of the other folds."""
     near: Neighborhoods
-    """Those of them near each place of the fold."""
+    """Those of them near each point of the fold."""
 
 
 class _Search:
@@ -278,7 +278,7 @@ class _Search:
         return options[chosen]
 
     def choose_dof(self, weights: FloatArray, shape: KernelShape) -> KernelShape:
-        """Choose the prior degrees of freedom, under which each error has the scale of its place.
+        """Choose the prior degrees of freedom, under which each error has the scale of its point.
 
         The likelihood is maximised without preference for a stiff value: with too few degrees of
         freedom the scale shrinks as well, and confidence regions hold too few errors.
@@ -332,13 +332,13 @@ class _Search:
         # Columns without weight do not enter the tree.
         used = weights > 0.0
         coordinates = np.ascontiguousarray((fold.training.coordinates * weights)[:, used])
-        places = np.ascontiguousarray((fold.held_out.coordinates * weights)[:, used])
+        points = np.ascontiguousarray((fold.held_out.coordinates * weights)[:, used])
         posterior = KernelPosterior.of(
             replace(fold.training, coordinates=coordinates),
             published=self.published,
             prior=fold.prior,
         )
-        return _HeldOut(posterior=posterior, near=posterior.around(places, shape))
+        return _HeldOut(posterior=posterior, near=posterior.around(points, shape))
 
     def _advance(self, steps: int = 1) -> None:
         self.steps_done += steps

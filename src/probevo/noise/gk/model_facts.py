@@ -53,7 +53,7 @@ def check_arrays(metric: Metric, centers: Centers, prior: StudentTBatch) -> None
     contributing = int((metric.weight > 0.0).sum())
     count = len(centers.parameters) if centers.parameters.ndim else 0
     expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
-        (centers.places, (contributing, count), np.float32),
+        (centers.points, (contributing, count), np.float32),
         (centers.parameters, (count, NUM_PARAMETERS), np.float32),
         (prior.scale, (1, DIM, DIM), np.float64),
         (prior.dof, (1,), np.float64),

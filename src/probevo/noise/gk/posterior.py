@@ -1,4 +1,4 @@
-"""The distribution of the error at a place of the prediction space, from the errors around it.
+"""The distribution of the error at a point of the prediction space, from the errors around it.
 
 As published (PROBE-GK eqs. (6)-(12)), a kernel of fixed support ρ, k(φ, φᵢ) = 1 − (|φ − φᵢ|/ρ)²,
 weighs the squared errors within and adds them to an inverse-Wishart prior,
@@ -6,7 +6,7 @@ weighs the squared errors within and adds them to an inverse-Wishart prior,
     Ψ* = Ψ₀ + Σ kᵢ eᵢ eᵢᵀ  (8),        ν* = ν₀ + Σ kᵢ  (9),
 
 which predicts a Student-t of ν* − d + 1 degrees of freedom and scale Ψ*/(ν* − d + 1) (12). A single
-gross outlier then inflates Ψ* for all places near it, and ν* grows with the number of samples
+gross outlier then inflates Ψ* for all points near it, and ν* grows with the number of samples
 whatever the tails of their errors, so that the loss becomes quadratic.
 
 The robust variant fits a Student-t with a bias to the K nearest errors under the same kernel, with
@@ -29,9 +29,9 @@ from probevo.noise.student_t_fit import fit_static, fit_student_ts, regularized
 
 THREADS = 2
 BLOCK = 2000
-"""Number of places whose neighbours are held in memory at a time."""
+"""Number of points whose neighbours are held in memory at a time."""
 MAX_PAIRS = 4_000_000
-"""Number of pairs of a place and a neighbour that a block has at most."""
+"""Number of pairs of a point and a neighbour that a block has at most."""
 TREE_LEAF = 32
 """Samples in a leaf of the k-d tree: for hundreds of neighbours in eight columns, a third faster
 than SciPy's 10."""
@@ -54,9 +54,9 @@ class KernelShape:
     bias_counts: float = 100.0
     """Pseudo-counts of the bias, whose prior is zero; np.inf holds it there."""
     dof: float | None = None
-    """Prior degrees of freedom, estimated from errors under the scales of their own places. None
-    takes those of all errors under one scale, which are too few: a mixture of good and bad places
-    has heavy tails even if each place is Gaussian."""
+    """Prior degrees of freedom, estimated from errors under the scales of their own points. None
+    takes those of all errors under one scale, which are too few: a mixture of good and bad points
+    has heavy tails even if each point is Gaussian."""
 
     def as_given(self) -> dict[str, Any]:
         """Return the arguments by which ``GeneralizedKernel`` need not choose any of these again.
@@ -68,7 +68,7 @@ class KernelShape:
 
 @dataclass(frozen=True)
 class KernelSamples:
-    """N training samples: places in the prediction space, and an error at each."""
+    """N training samples: points in the prediction space, and an error at each."""
 
     coordinates: FloatArray
     """Places, in the coordinates of the metric, [N, M]."""
@@ -87,7 +87,7 @@ class KernelSamples:
 
 @dataclass(frozen=True)
 class KernelPosterior:
-    """The posterior predictive distribution at any place, given N samples and a prior."""
+    """The posterior predictive distribution at any point, given N samples and a prior."""
 
     samples: KernelSamples
     published: bool
@@ -95,7 +95,7 @@ class KernelPosterior:
     prior: StudentTBatch
     """The distribution without any sample near, C = 1."""
     order: IntArray = field(repr=False)
-    """Random order in which the tree holds the samples, [N]. Of many samples at the same place the
+    """Random order in which the tree holds the samples, [N]. Of many samples at the same point the
     tree returns the first K, which must not all be from one end of the recording."""
     tree: KDTree = field(repr=False)
 
@@ -114,23 +114,23 @@ class KernelPosterior:
         )
 
     def at(
-        self, places: FloatArray, shape: KernelShape, iterations: int = 12
+        self, points: FloatArray, shape: KernelShape, iterations: int = 12
     ) -> tuple[StudentTBatch, FloatArray]:
-        """Compute the predictive distribution at n places, [n, M].
+        """Compute the predictive distribution at n points, [n, M].
 
         Returns:
             The n distributions, and the effective number of samples Σ k of each, [n].
         """
-        # The places are divided into blocks, so that the pairs of a place and a neighbour fit into
+        # The points are divided into blocks, so that the pairs of a point and a neighbour fit into
         # memory, and each thread has work.
         count = len(self.samples.errors)
         neighbors = count if self.published else min(shape.neighbors, count)
-        block = max(min(MAX_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
-        starts = range(0, max(len(places), 1), block)
+        block = max(min(MAX_PAIRS // neighbors, BLOCK, -(-len(points) // THREADS)), 1)
+        starts = range(0, max(len(points), 1), block)
 
         def predict(start: int) -> tuple[StudentTBatch, FloatArray]:
-            """Predict at the places of one block."""
-            near = self.around(places[start : start + block], shape)
+            """Predict at the points of one block."""
+            near = self.around(points[start : start + block], shape)
             return self.fit(near, shape, iterations)
 
         with ThreadPoolExecutor(THREADS) as pool:
@@ -142,34 +142,34 @@ class KernelPosterior:
         )
         return fitted, np.concatenate([counts for _, counts in parts])
 
-    def around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        """Find the samples that contribute at n places [n, M], and the kernel k of each."""
+    def around(self, points: FloatArray, shape: KernelShape) -> Neighborhoods:
+        """Find the samples that contribute at n points [n, M], and the kernel k of each."""
         if self.published:
-            return self._within_reach(places, shape)
-        return self._nearest(places, shape)
+            return self._within_reach(points, shape)
+        return self._nearest(points, shape)
 
-    def _within_reach(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+    def _within_reach(self, points: FloatArray, shape: KernelShape) -> Neighborhoods:
         """Find all samples within ρ."""
-        # The tree returns a list of neighbours for each place; they are joined into one array.
-        found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
+        # The tree returns a list of neighbours for each point; they are joined into one array.
+        found = self.tree.query_ball_point(points, shape.reach, return_sorted=True)
         members_of_each = [self.order[own] for own in found]
         first: IntArray = np.cumsum([0, *map(len, members_of_each)])
         members = np.concatenate([np.zeros(0, np.int64), *members_of_each])
-        # The place that each of the members belongs to, and k = 1 − (|φ − φᵢ|/ρ)² there
-        place = np.repeat(np.arange(len(places)), np.diff(first))
-        squared = np.sum((self.samples.coordinates[members] - places[place]) ** 2, axis=1)
+        # The point that each of the members belongs to, and k = 1 − (|φ − φᵢ|/ρ)² there
+        point = np.repeat(np.arange(len(points)), np.diff(first))
+        squared = np.sum((self.samples.coordinates[members] - points[point]) ** 2, axis=1)
         return Neighborhoods(first=first, members=members, kernel=1.0 - squared / shape.reach**2)
 
-    def _nearest(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+    def _nearest(self, points: FloatArray, shape: KernelShape) -> Neighborhoods:
         """Find the K nearest samples within ρ; the kernel ends at the K-th."""
         # The tree reports a missing neighbour at distance ∞.
         ranks = np.arange(1, min(shape.neighbors, len(self.samples.errors)) + 1)
         distance, near = map(
-            np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach)
+            np.asarray, self.tree.query(points, ranks, distance_upper_bound=shape.reach)
         )
         found = np.isfinite(distance)  # [n, K]; nearest first, so that a missing one is last
         # The support is a little wider than the distance of the K-th, so that this one contributes,
-        # and all do where all K lie at the very place. Support of the kernel of each place, [n, 1]:
+        # and all do where all K lie at the very point. Support of the kernel of each point, [n, 1]:
         # ρ where fewer than K samples are within it.
         radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
         support = radius * (1.0 + 1e-3) + 1e-12
@@ -208,17 +208,17 @@ class KernelPosterior:
             dof = nu - DIM + 1.0
             scale = fitted.scale * (nu / dof)[:, None, None]
             return StudentTBatch(scale=scale, dof=dof, bias=fitted.bias), counts
-        # ν of the shape belongs to errors under the scale of their place. The scale of all errors
+        # ν of the shape belongs to errors under the scale of their point. The scale of all errors
         # goes with the ν that was fitted together with it.
         is_empty = counts == 0.0
         fitted.scale[is_empty] = self.prior.scale
         fitted.dof[is_empty] = self.prior.dof
         return fitted, counts
 
-    def radius(self, places: FloatArray, neighbors: int) -> FloatArray:
-        """Return the distance from each place, [n, M], to its K-th nearest sample, [n]."""
+    def radius(self, points: FloatArray, neighbors: int) -> FloatArray:
+        """Return the distance from each point, [n, M], to its K-th nearest sample, [n]."""
         rank = min(neighbors, len(self.samples.errors))
-        distance: FloatArray = np.asarray(self.tree.query(places, [rank])[0])
+        distance: FloatArray = np.asarray(self.tree.query(points, [rank])[0])
         return distance[:, 0]
 
 

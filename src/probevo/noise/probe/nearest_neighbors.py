@@ -1,7 +1,7 @@
 """PROBE: the covariance of each feature is R times a scalar β, learned from nearest neighbours.
 
 Training estimates motions from small subsets of the features. The error α of each such motion is
-stored at the place φ in the prediction space of the features that gave it. For a new feature,
+stored at the point φ in the prediction space of the features that gave it. For a new feature,
 
     β = (ᾱ_K(φ) / ᾱ)^γ,        R_i = β_i R,
 
@@ -86,14 +86,14 @@ class NearestNeighbors:
         *,
         metric: Metric | None = None,
     ) -> Self:
-        """Store N samples: places in the prediction space, and the error of a motion at each.
+        """Store N samples: points in the prediction space, and the error of a motion at each.
 
         Sets ``metric_``, ``index_`` and ``log_mean_alpha_``, which is ln ᾱ.
 
         Args:
-            predictors: places φ of the samples, [N, M].
+            predictors: points φ of the samples, [N, M].
             alphas: errors α > 0 of the motions, [N].
-            metric: distance between places; by default the columns are standardised over the
+            metric: distance between points; by default the columns are standardised over the
                 samples, and none may be undefined.
 
         Raises:
@@ -104,7 +104,7 @@ class NearestNeighbors:
         alphas = np.asarray(alphas, dtype=np.float64)
         if len(predictors) != len(alphas):
             raise InputError(
-                "training data", f"{len(predictors)} places, but {len(alphas)} errors α."
+                "training data", f"{len(predictors)} points, but {len(alphas)} errors α."
             )
         check_neighbors(self.neighbors, len(alphas))
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
@@ -121,12 +121,12 @@ class NearestNeighbors:
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """Return β R for each of N features from its place in the prediction space, [N, M]."""
+        """Return β R for each of N features from its point in the prediction space, [N, M]."""
         beta = self.weights(predictors)
         return self.base.predict(predictors).scaled(beta)
 
     def weights(self, predictors: FloatArray) -> FloatArray:
-        """Compute β = (ᾱ_K/ᾱ)^γ at N places [N, M], bounded by ``LARGEST_BETA``: [N]."""
+        """Compute β = (ᾱ_K/ᾱ)^γ at N points [N, M], bounded by ``LARGEST_BETA``: [N]."""
         # In logarithms, so that a large exponent cannot overflow; β and 1/β have the same bound.
         bound = np.log(LARGEST_BETA)
         log_beta = self.exponent * self.log_relative_alpha(predictors)
@@ -134,7 +134,7 @@ class NearestNeighbors:
         return beta
 
     def log_relative_alpha(self, predictors: FloatArray) -> FloatArray:
-        """Compute ln(ᾱ_K/ᾱ) at N places [N, M]: [N]."""
+        """Compute ln(ᾱ_K/ᾱ) at N points [N, M]: [N]."""
         coordinates = self.metric_.coordinates(predictors)
         # Mean over K of α, or of ln α, [N]
         mean = self.index_.mean_of_nearest(coordinates, np.array([self.neighbors]))[:, 0]
@@ -153,9 +153,9 @@ class NearestNeighbors:
             coordinates == (UNDEFINED * metric.weight).astype(np.float32)
         )
         # The inverse of the standardisation
-        places = coordinates / metric.weight * metric.spread + metric.mean
+        points = coordinates / metric.weight * metric.spread + metric.mean
         values = self.index_.values.astype(np.float64)
-        return np.where(undefined, np.nan, places), self._log_alpha(values) - self.log_mean_alpha_
+        return np.where(undefined, np.nan, points), self._log_alpha(values) - self.log_mean_alpha_
 
     def _log_alpha(self, values: FloatArray) -> FloatArray:
         """Return ln α of values of the index, which holds α or ln α depending on the average."""

@@ -63,7 +63,7 @@ _OUT_OF_DOMAIN_REMARK = (
 _TERMS = {
     "Samples": "Errors of features to which the model was fitted.",
     "Form": "The posterior as published, an inverse Wishart.",
-    "K": "Number of nearest samples to which the noise at a place is fitted.",
+    "K": "Number of nearest samples to which the noise at a point is fitted.",
     "ρ": (
         "Reach: samples farther away do not contribute. Distances are in standard deviations of the"
         " weighted predictors."
@@ -208,18 +208,18 @@ def frame_pictures(view: CentersView, frame: FrameView, noise: StereoNoise) -> d
 def column_table(view: CentersView, frame: FrameView | None) -> Table:
     """Make a table with a row for each column of φ, the used ones first.
 
-    Of the others, the file of a model holds no places.
+    Of the others, the file of a model holds no points.
     """
     metric = view.model.metric_
     used = {column.index: column for column in view.used}
-    place_of = {column.index: k for k, column in enumerate(view.used)}
+    column_of = {column.index: k for k, column in enumerate(view.used)}
     others = [m for m in range(len(metric.columns)) if m not in used]
     rows = []
     for m in (*used, *others):
         if frame is not None:
             values = frame.phi[:, m]
         elif m in used:
-            values = view.places[:, place_of[m]]
+            values = view.points[:, column_of[m]]
         else:
             values = np.zeros(0)
         known = values[np.isfinite(values)]
@@ -266,7 +266,7 @@ def _facts(view: CentersView) -> dict[str, str]:
     else:
         facts["K"] = f"{shape.neighbors:,}"
     facts["ρ"] = f"{readable(shape.reach)} standard deviations"
-    facts["Centers"] = f"{len(view.places):,}"
+    facts["Centers"] = f"{len(view.points):,}"
     facts["Time-correlated error"] = time_correlation_text(model.time_correlation_ratio)
     facts["Rig"] = learned_jitter_text(model.jitter_cov)
     facts["ν of the prior"] = readable(float(model.prior_.dof[0]))
@@ -306,7 +306,7 @@ def _frame_panels(view: CentersView, noise: StereoNoise) -> list[Markup]:
 def _learned_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
     """Show the noise along each used column."""
     note = (
-        f"The noise predicted at the {len(view.places):,} centers, which are places of training"
+        f"The noise predicted at the {len(view.points):,} centers, which are points of training"
         " samples: medians, and 16 to 84 %, in bins of equally many along each used predictor; all"
         " on the same scales. Other predictors vary along with it. σ is the scale of the"
         " Student-t, which its few outliers do not move. Below: where the centers lie (grey)"
@@ -337,7 +337,7 @@ def _origin_sections(view: CentersView, frame: FrameView | None) -> list[Markup]
 
 def _course_panel(view: CentersView, k: int, frame: FrameView | None) -> Markup:
     column = view.used[k]
-    share = profile_along(view.places[:, k], np.log(size_px(view.noise.scale))).share_explained
+    share = profile_along(view.points[:, k], np.log(size_px(view.noise.scale))).share_explained
     note = f"weight {column.weight:g}; "
     if column.gain is not None:
         note += f"{signed(column.gain)} nats; "

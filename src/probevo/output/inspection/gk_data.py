@@ -47,7 +47,7 @@ class UsedColumn:
 class CentersView:
     """A model of M columns, L of which are used, at its own C centers.
 
-    The centers are places of training samples, evenly chosen.
+    The centers are points of training samples, evenly chosen.
     """
 
     name: str
@@ -56,7 +56,7 @@ class CentersView:
     """Unit of each column whose unit is known."""
     used: tuple[UsedColumn, ...]
     """The used columns, [L], in the order of their gain."""
-    places: FloatArray
+    points: FloatArray
     """φ of the centers along the used columns, [C, L]; NaN where undefined."""
     noise: StereoNoise
     """The predicted noise at the centers, [C]."""
@@ -66,7 +66,7 @@ class CentersView:
         """Predict the noise at the centers of a fitted model."""
         used = used_columns(model)
         metric = model.metric_
-        coordinates = model.centers_.places.T.astype(np.float64)
+        coordinates = model.centers_.points.T.astype(np.float64)
         students, out_of_domain = model.centers_.at(coordinates, model.domain_radius_, model.prior_)
         # The centers hold only the columns whose weight is not 0, each times its weight.
         chosen = [column.index for column in used]
@@ -75,7 +75,7 @@ class CentersView:
         # Stored in single precision; no value that is defined lies so close except by chance.
         may_be_undefined = np.array(metric.may_be_undefined)[chosen]
         undefined = may_be_undefined & (np.abs(standard - UNDEFINED) < 1e-5)
-        places = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])
+        points = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])
         noise = StereoNoise(
             students.scale,
             students.dof,
@@ -83,7 +83,7 @@ class CentersView:
             refers_to=model.refers_to,
             out_of_domain=out_of_domain,
         )
-        return CentersView(name, model, units, used=used, places=places, noise=noise)
+        return CentersView(name, model, units, used=used, points=points, noise=noise)
 
 
 def used_columns(model: GeneralizedKernel) -> tuple[UsedColumn, ...]:

@@ -50,7 +50,7 @@ def course_figure(view: CentersView, k: int, frame: FrameView | None) -> Figure:
     heights = (5, *[3] * (len(shown) - 1), 2)
     *above, below = figure.subplots(len(shown) + 1, 1, sharex=True, height_ratios=heights)
     column = view.used[k]
-    values = view.places[:, k]
+    values = view.points[:, k]
     features = None if frame is None else frame.phi[:, column.index]
     apart = draw_column(below, values, features, view.units.get(column.name, ""))
     for axes, (name, each), limits in zip(above, shown.items(), _limits(view), strict=True):
@@ -80,7 +80,7 @@ def _limits(view: CentersView) -> list[tuple[float, float]]:
     """Choose the same scales for all columns, so that their strengths compare."""
     limits = []
     for name, each in _shown(view).items():
-        courses = [course_along(column, one) for column in view.places.T for one in each.T]
+        courses = [course_along(column, one) for column in view.points.T for one in each.T]
         ends = [course.quantiles.ravel() for course in courses]
         ends += [course.undefined for course in courses if course.undefined is not None]
         low, high = np.quantile(np.concatenate(ends), [0.0, 1.0]).tolist()
@@ -141,10 +141,10 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
     grid = np.ravel(figure.subplots(down, across, sharey=True))
     for axes, name in zip(grid, shown, strict=False):
         search = searches[name]
-        places = np.arange(len(search["gains"]))
+        ranks = np.arange(len(search["gains"]))
         is_weights = name == "weights"
         names = [str(m) if is_weights else _plain(m) for m in search["candidates"]]
-        axes.plot(places, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
+        axes.plot(ranks, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
         is_dense = max((len(a) + len(b) for a, b in pairwise(names)), default=0) > _MOST_LETTERS
         turned: dict[str, Any] = (
             {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
@@ -153,7 +153,7 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
         )
         if is_weights:
             names = [names[0], *(f"+ {column}" for column in names[1:])]
-        axes.set_xticks(places, names, fontsize=7.5, **turned)
+        axes.set_xticks(ranks, names, fontsize=7.5, **turned)
         axes.set_title(SEARCHED[name], color=MUTED)
         axes.margins(x=0.12)
         if not is_weights:
@@ -183,11 +183,11 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
     for i, j in combinations(range(min(len(view.used), MOST_PAIRED)), 2):
         figure = Figure(figsize=(NARROW_IN, 2.9))
         axes = figure.add_subplot()
-        window = np.array([window_of(view.places[:, i]), window_of(view.places[:, j])])
-        places = np.clip(view.places[:, [i, j]], *window.T)
+        window = np.array([window_of(view.points[:, i]), window_of(view.points[:, j])])
+        points = np.clip(view.points[:, [i, j]], *window.T)
         drawn = axes.scatter(
-            places[:, 0],
-            places[:, 1],
+            points[:, 0],
+            points[:, 1],
             s=7,
             c=size,
             norm=norm,

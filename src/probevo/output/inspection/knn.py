@@ -162,7 +162,7 @@ def _column_summaries(view: ModelView, frame: FrameView | None) -> list[ColumnSu
     units = {name: view.units.get(name, "") for name in view.columns}
     return column_summaries(
         frame.columns if frame is not None else units,
-        frame.phi if frame is not None else view.places,
+        frame.phi if frame is not None else view.points,
         (metric.mean, metric.spread),
         of_frame=frame is not None,
     )

@@ -33,7 +33,7 @@ class ModelView:
     model: NearestNeighbors
     units: Mapping[str, str]
     """Unit of each column whose unit is known."""
-    places: FloatArray
+    points: FloatArray
     """φ of the samples, [N, M]; NaN where undefined."""
     log_alpha: FloatArray
     """ln(α/ᾱ) of each, [N]."""
@@ -47,17 +47,17 @@ class ModelView:
     @staticmethod
     def of(name: str, model: NearestNeighbors, units: Mapping[str, str]) -> ModelView:
         """Compute all that is shown of a fitted model."""
-        places, log_alpha = model.samples()
-        chosen = places[evenly(len(places), MOST_QUERIES)]
+        points, log_alpha = model.samples()
+        chosen = points[evenly(len(points), MOST_QUERIES)]
         return ModelView(
             name=name,
             model=model,
             units=units,
-            places=places,
+            points=points,
             log_alpha=log_alpha,
-            profiles=tuple(profile_along(column, log_alpha) for column in places.T),
+            profiles=tuple(profile_along(column, log_alpha) for column in points.T),
             beta=model.weights(chosen),
-            radius=neighbor_radius(model, places[evenly(len(places), MOST_RADII)]),
+            radius=neighbor_radius(model, points[evenly(len(points), MOST_RADII)]),
         )
 
     @property
@@ -72,7 +72,7 @@ class ModelView:
 
     @property
     def far_radius(self) -> float:
-        """Distance to the K-th nearest sample beyond which a place is far from the data."""
+        """Distance to the K-th nearest sample beyond which a point is far from the data."""
         return float(np.quantile(self.radius, FAR_QUANTILE))
 
 
@@ -87,12 +87,12 @@ class FrameWeights:
 
     @staticmethod
     def of(model: NearestNeighbors, phi: FloatArray) -> FrameWeights:
-        """Weigh features at these places of the prediction space, [N, M]."""
+        """Weigh features at these points of the prediction space, [N, M]."""
         return FrameWeights(beta=model.weights(phi), radius=neighbor_radius(model, phi))
 
 
-def neighbor_radius(model: NearestNeighbors, places: FloatArray) -> FloatArray:
-    """Measure the distance from n places, [n, M], to the K-th nearest training sample each, [n].
+def neighbor_radius(model: NearestNeighbors, points: FloatArray) -> FloatArray:
+    """Measure the distance from n points, [n, M], to the K-th nearest training sample each, [n].
 
     The nearest sample would mislead: a point that was tracked over some frames left as many samples
     close together, and the training data would look denser than any other drive can be.
@@ -101,7 +101,7 @@ def neighbor_radius(model: NearestNeighbors, places: FloatArray) -> FloatArray:
     samples = all_samples[:, evenly(all_samples.shape[1], MOST_NEIGHBORS_OF)]
     wanted = max(1, round(model.neighbors * samples.shape[1] / all_samples.shape[1]))
     half_squares = 0.5 * np.sum(samples * samples, axis=0)
-    queries = model.metric_.coordinates(places).astype(np.float32)
+    queries = model.metric_.coordinates(points).astype(np.float32)
     radius = np.empty(len(queries))
     # ‖q − s‖² = ‖q‖² + 2 (‖s‖²/2 − q·s): the order of the samples depends on the bracket only.
     for start in range(0, len(queries), _BLOCK):
@@ -113,13 +113,13 @@ def neighbor_radius(model: NearestNeighbors, places: FloatArray) -> FloatArray:
     return radius
 
 
-def rank_correlation(places: FloatArray) -> FloatArray:
+def rank_correlation(points: FloatArray) -> FloatArray:
     """Compute Spearman's correlation of the columns of [N, M], [M, M].
 
     Undefined values are left out; a constant column has correlation 0.
     """
-    ranks = np.full(places.shape, np.nan)
-    for m, column in enumerate(places.T):
+    ranks = np.full(points.shape, np.nan)
+    for m, column in enumerate(points.T):
         known = np.isfinite(column)
         # Equal values share the mean of their ranks, lest their order in the file count.
         _, inverse, count = np.unique(column[known], return_inverse=True, return_counts=True)

@@ -35,7 +35,7 @@ def profile_figure(view: ModelView, m: int, frame: FrameView | None) -> Figure:
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
     unit = view.units.get(view.columns[m], "")
     features = None if frame is None else frame.phi[:, m]
-    apart = draw_column(below, view.places[:, m], features, unit)
+    apart = draw_column(below, view.points[:, m], features, unit)
     _draw_profile(above, view.profiles[m], apart)
     above.set(ylim=_common_limits(view.profiles), ylabel="mean ln(α/ᾱ)")
     return figure
@@ -77,14 +77,14 @@ def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
         title, meaning, factor = labels[name]
         candidates = searches[name]["candidates"]
         errors = factor * np.array(searches[name]["errors"])
-        places = np.arange(len(candidates))
-        axes.plot(places, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
+        ranks = np.arange(len(candidates))
+        axes.plot(ranks, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
         chosen = int(np.argmin(np.abs(np.array(candidates) - searches[name]["chosen"])))
         axes.plot(chosen, errors[chosen], "o", ms=9, mfc="none", mec=ORANGE, mew=1.8)
         axes.set_xticks(
-            places,
+            ranks,
             [f"{candidate:g}" for candidate in candidates],
-            fontsize=8 if len(places) < 10 else 7,
+            fontsize=8 if len(ranks) < 10 else 7,
         )
         axes.set(xlabel=f"{title}; chosen: {candidates[chosen]:g}")
         axes.set_title(meaning, color=MUTED)
@@ -98,7 +98,7 @@ def correlation_figure(view: ModelView) -> Figure:
     """
     # Only the lower triangle: the matrix is symmetric, and its diagonal is 1.
     order = view.order
-    table = rank_correlation(np.column_stack([view.places[:, order], view.log_alpha]))
+    table = rank_correlation(np.column_stack([view.points[:, order], view.log_alpha]))
     names = [*(view.columns[m] for m in order), "ln(α/ᾱ)"]
     count = len(names)
     figure = Figure(figsize=(WIDTH_IN, 1.9 + 0.2 * count))
@@ -130,8 +130,8 @@ def pairs_figures(view: ModelView, frame: FrameView | None) -> list[Figure]:
     for m, n in combinations(view.order[:MOST_PAIRED], 2):
         figure = Figure(figsize=(NARROW_IN, 2.9))
         axes = figure.add_subplot()
-        x = view.places[:, m]
-        y = view.places[:, n]
+        x = view.points[:, m]
+        y = view.points[:, n]
         window = (window_of(x), window_of(y))
         counts, *edges = np.histogram2d(x, y, 45, window)
         shares = np.where(counts > 0, counts, np.nan).T

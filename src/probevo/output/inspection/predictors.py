@@ -85,7 +85,7 @@ def column_summaries(
 
     Args:
         columns: name and unit of the M columns.
-        phi: places of the frame's features, or else of the training samples, [N, M]; NaN where
+        phi: points of the frame's features, or else of the training samples, [N, M]; NaN where
             undefined.
         training: mean and standard deviation of each column over the training data, [M] each.
         of_frame: whether ``phi`` is that of a frame.

@@ -222,7 +222,7 @@ def solved_steps(
             rows = part.rows(step)
             used = np.flatnonzero(part.used[rows])
             noise = noise_of_part.subset(rows.start + used)
-            tracks = part.tracks(step).kept(used)
+            tracks = part.tracks(step).subset(used)
 
             # The disparity filter goes from step to step of the recording, not across a gap.
             number = int(part.numbers[step])

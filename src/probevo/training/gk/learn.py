@@ -32,7 +32,7 @@ def learn_pruned_kernel(context: TrainingContext) -> GeneralizedKernel:
     A run need not compute the other predictors.
     """
     model = learn_kernel(context)
-    return model.kept(contributing_columns(context.space, model.metric_.weight))
+    return model.subset(contributing_columns(context.space, model.metric_.weight))
 
 
 def contributing_columns(space: PredictionSpace, weight: FloatArray) -> IntArray:

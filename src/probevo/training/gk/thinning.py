@@ -70,7 +70,7 @@ def _thin(task: _Task) -> DriveOnDisk:
         def parts() -> Iterator[Drive]:
             """Yield the steps drawn, part by part."""
             for part in task.drive.parts():
-                yield part.kept(task.steps[part.numbers])
+                yield part.subset(task.steps[part.numbers])
 
         thin.keep_drive(parts(), lambda: facts.digest, len(facts.moments.mean))
         # Without truth, the stretches of the supervision are never used.

@@ -66,7 +66,7 @@ def fit_model(
         searches["exponent"] = choose_exponent(samplers, log_relative_alphas)
         exponent = searches["exponent"].chosen
 
-    # The model keeps all samples, at their places in the prediction space.
+    # The model keeps all samples, at their points in the prediction space.
     model = NearestNeighbors(
         neighbors,
         exponent,
@@ -97,7 +97,7 @@ def _log_relative_alphas(
     Args:
         samples: the N samples.
         samplers: one for each drive.
-        coordinates: places of the samples, [N, M].
+        coordinates: points of the samples, [N, M].
         values: α of the samples, or its logarithm, [N].
         neighbors: K.
         is_logarithmic: whether the values are logarithms.

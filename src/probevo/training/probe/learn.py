@@ -1,7 +1,7 @@
 """The trainer of PROBE (PROBE Fig. 2): motions of random subsets of features, and their errors.
 
 In each iteration, every step of every drive is solved with a random subset of its features. The
-error α of that motion becomes a sample at the place of each feature of the subset. A model predicts
+error α of that motion becomes a sample at the point of each feature of the subset. A model predicts
 the mean α of the nearest neighbours in the prediction space.
 """
 
@@ -58,7 +58,7 @@ def learn_nearest_neighbors(context: TrainingContext) -> NearestNeighbors:
         iterations.append(subsets)
         context.progress.iteration_done()
 
-    # Pair the errors α with the places φ of the features, and fit K and γ.
+    # Pair the errors α with the points φ of the features, and fit K and γ.
     samplers = [
         _sampler(number, drive, context.metric, context.settings)
         for number, drive in enumerate(context.drives)

@@ -52,7 +52,7 @@ def choose_neighbors(coordinates: FloatArray, values: FloatArray, fold: IntArray
     """Choose K by cross-validation: the mean of the K nearest from other folds predicts best.
 
     Args:
-        coordinates: places of N samples, [N, M].
+        coordinates: points of N samples, [N, M].
         values: α of each, or its logarithm, [N].
         fold: fold of each, [N].
     """
@@ -91,11 +91,11 @@ def out_of_fold(
     """Predict the value at each query from the K nearest samples of other folds, [n].
 
     Args:
-        coordinates: places of N samples, [N, M].
+        coordinates: points of N samples, [N, M].
         values: value of each sample, [N].
         fold: fold of each sample, [N].
         neighbors: K.
-        queries: places at which to predict, [n, M].
+        queries: points at which to predict, [n, M].
         fold_of_query: fold of each, whose samples are left out, [n].
     """
     means = np.empty(len(queries))
@@ -203,7 +203,7 @@ def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) 
         # The covariance of each feature is that of the static model times β.
         base = sampler.base.predict(np.zeros((len(chosen), 0)))
         solution = estimator.solve(
-            drive.tracks(step).kept(chosen),
+            drive.tracks(step).subset(chosen),
             base.scaled(beta[rows][chosen]),
             guess=drive.T_curr_prev[step],
         )

@@ -41,7 +41,7 @@ class SubsetSampler:
 
     drive: Drive
     coordinates: FloatArray
-    """Standardised place of each of the n features in the prediction space, [n, M]."""
+    """Standardised point of each of the n features in the prediction space, [n, M]."""
     supervision: Supervision
     camera: StereoCamera
     base: NoiseModel
@@ -88,7 +88,7 @@ class SubsetSampler:
 
             # Solve for the motion with this subset only.
             solution = estimator.solve(
-                drive.tracks(step).kept(chosen),
+                drive.tracks(step).subset(chosen),
                 self.base.predict(np.zeros((self.subset, 0))),
                 guess=drive.T_curr_prev[step],
             )
