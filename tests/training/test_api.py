@@ -219,7 +219,10 @@ def test_every_supervision_gives_a_model(
     every_s = 0.5 if supervision in ("sparse", "position") else 0.0
     settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
     model = neighbors_of(train(recordings, out, settings))
-    assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
+    assert model.training["settings"]["supervision"] == supervision
+    _, log_alpha = model.samples()
+    assert np.isfinite(log_alpha).all()
+    assert log_alpha.std() > 0.01
 
 
 @pytest.mark.parametrize(

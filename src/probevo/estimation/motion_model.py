@@ -27,6 +27,10 @@ LEAST_SIGMA = 1e-5
 """Least standard deviation of a prediction, m and rad. Over a microsecond, that of the motion would
 be so small that rounding loses the information of the features."""
 
+UNKNOWN_FROM = 0.5
+"""Standard deviation of the forward speed, over that of its prior at the start, from which on it
+counts as unknown."""
+
 FASTEST_START = 1.5
 """Fastest forward speed that is tried at the start, in standard deviations of its prior."""
 
@@ -41,7 +45,8 @@ rate."""
 
 MAX_REFUSALS = 3
 """Number of solves that may be rejected, without an accepted one between them, before the motion
-model itself is reset."""
+model itself is reset: one or two wrong solves in a row are usual behind a passing lorry, and with
+more the prediction is the likelier one to be wrong."""
 
 GYRO_MISALIGNMENT_RAD = 0.02
 """Standard deviation of the gyro's mounting and of its scale, which its noise density omits."""
@@ -210,7 +215,7 @@ class MotionModel:
     def speed_is_unknown(self) -> bool:
         """Whether there is hardly an estimate of the velocity: at the start, after a reset, or
         after seconds of dead reckoning."""
-        return bool(self._drifted_sigma(0.0)[2] > 0.5 * self.config.start_speed_m_s)
+        return bool(self._drifted_sigma(0.0)[2] > UNKNOWN_FROM * self.config.start_speed_m_s)
 
     @property
     def is_moving(self) -> bool:

@@ -26,6 +26,12 @@ from probevo.tracking.tracks import Tracks
 INLIER_RATIO = 0.5
 """Share of inliers that is assumed, as in PROBE."""
 
+SAMPLE_ITERATIONS = 6
+"""Gauss–Newton iterations for the motion of a sample, at most."""
+SAMPLE_STEP = 1e-4
+"""Length of a step ξ, m and rad together, at which the motion of a sample has converged: far below
+what moves a feature by its threshold."""
+
 COMMON_WITHIN = 3.0
 """Standard deviations within which an error common to all features is tolerated."""
 
@@ -237,7 +243,7 @@ def _best_sample(
         solvable = True
         # A few undamped steps are enough: a sample with an outlier may diverge, and loses by its
         # cost.
-        for _ in range(6):
+        for _ in range(SAMPLE_ITERATIONS):
             normal_equations(T, problem.camera, curr, sample, loss, newton, system)
             solvable = solve_positive_definite(
                 system.hessian, system.gradient[: problem.free], lower, solution=step
@@ -247,7 +253,7 @@ def _best_sample(
             # With a gyro, the last three entries of the step stay zero: the rotation is held.
             perturb(step, T, T_moved)
             copy_into(T, T_moved)
-            if np.sum(step * step) < 1e-8:
+            if np.sum(step * step) < SAMPLE_STEP**2:
                 break
         if solvable and _is_near(T, T_start, problem.near):
             # Most samples are given up early: as soon as they cost more than the best one.
