@@ -93,11 +93,11 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
     step, and they add up over the K frames of the window, while features that are seen in all of
     them claim a covariance C like that of two frames, without its common-mode part. In units of C,
     the covariance of the features is therefore λ = 1 + K² ξᵀ C⁻¹ ξ / 6, and that of the corrected
-    motion κ = tr(C⁻¹ Σ) / 6.
+    motion c = tr(C⁻¹ Σ) / 6.
 
     Both have errors of the same images in them, with an unknown cross-covariance. By covariance
     intersection, the information of one is multiplied by ω, that of the other by 1 − ω, and the
-    result is consistent whatever that is (Julier & Uhlmann 1997). ω = λ / (λ + κ) is the weight of
+    result is consistent whatever that is (Julier & Uhlmann 1997). ω = λ / (λ + c) is the weight of
     the corrected motion (Niehsen 2002).
 
     Args:
@@ -111,6 +111,6 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
     information = np.linalg.inv(of_images.cov - common_mode @ common_mode.T)
     of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
-    # Covariance intersection with ω = λ/(λ + κ): λ/(1 − ω) times C, and 1/ω times Σ
+    # Covariance intersection with ω = λ/(λ + c): λ/(1 − ω) times C, and 1/ω times Σ
     both = of_features + of_motion
     return Shares(features=of_features * both / of_motion, motion=both / of_features)

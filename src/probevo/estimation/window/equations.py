@@ -14,10 +14,10 @@ JITTER = 3
 FRAME = POSE + JITTER
 """Degrees of freedom of a frame, its pose first."""
 RIG = 4
-"""Degrees of freedom of the rig: its disparity errors b₀, b₁, b₂ and the distortion κ of its
+"""Degrees of freedom of the rig: its disparity errors b₀, b₁, b₂ and the distortion k₁ of its
 lenses."""
 LENS = 3
-"""Index of κ among the errors of the rig."""
+"""Index of k₁ among the errors of the rig."""
 LANDMARK = 4
 """Degrees of freedom of a landmark: (u, v, d) and its time-correlated disparity error δ."""
 PIXELS = 4
@@ -34,7 +34,7 @@ class WindowGeometry(NamedTuple):
     jitter: FloatArray
     """ω of each frame, [K, 3], rad."""
     rig: FloatArray
-    """(b₀, b₁, b₂) in px and κ, [4]."""
+    """(b₀, b₁, b₂) in px and k₁, [4]."""
     camera: Intrinsics
 
 

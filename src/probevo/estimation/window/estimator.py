@@ -81,10 +81,10 @@ from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
 LENS_SIGMA = 0.02
-"""Prior standard deviation of κ: what is seen 45° from the axis moves by 2 % of the focal
+"""Prior standard deviation of k₁: what is seen 45° from the axis moves by 2 % of the focal
 length."""
 RIG_SIGMA = np.array([CONSTANT_SIGMA_PX, *DISPARITY_SIGMA_PX, LENS_SIGMA])
-"""Prior standard deviation of b₀, b₁ and b₂, px, and κ."""
+"""Prior standard deviation of b₀, b₁ and b₂, px, and k₁."""
 FLAWLESS = 1e-6
 """Factor of these standard deviations without self-calibration: a rig that is taken as calibrated
 has the same states, which the prior holds at zero."""

@@ -11,9 +11,9 @@ depth λ = d/(f_u b), it is h/λ in frame k, where
 divided by d, so that a landmark at infinity is nothing special.
 
 What the rectification has left of the lenses' distortion moves both views of a point outwards by
-κ r² of their distance from the principal point (the first radial term of Brown's model). It is
-taken at the predicted place: at the observed one, whose noise is also in the error, κ and b₁ would
-be biased (with white noise of 0.3 px, κ by eight times its scatter over drives).
+k₁ r² of their distance from the principal point (the first radial term of Brown's model). It is
+taken at the predicted place: at the observed one, whose noise is also in the error, k₁ and b₁ would
+be biased (with white noise of 0.3 px, k₁ by eight times its scatter over drives).
 
 In each frame the right camera is turned against the left one by a small jitter ω_k, which moves
 what it sees by (δu_r, δv_r) = O ω_k (``camera.rig_jitter``).
@@ -285,7 +285,7 @@ def _linearize(
         for j in range(1, POSE):  # v_r moves as v does
             raw[3, j] = raw[1, j]
     x_r = x - disparity * per_depth * per_u
-    # κ moves both views outwards; rows are calibrated apart, so that v_r moves as v does.
+    # k₁ moves both views outwards; rows are calibrated apart, so that v_r moves as v does.
     squared = x * x + y * y
     squared_r = x_r * x_r + y * y
     raw[0, _RIG + LENS] = fu * x * squared
@@ -350,7 +350,7 @@ def _fill_errors(
     roll = jitter[2]
     of_jitter_u = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
     of_jitter_v = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
-    # Predictions are linear in κ, so that its effect is κ times its Jacobian column.
+    # Predictions are linear in k₁, so that its effect is k₁ times its Jacobian column.
     u += rig[LENS] * raw[0, _RIG + LENS]
     v += rig[LENS] * raw[1, _RIG + LENS]
     u_r += rig[LENS] * raw[2, _RIG + LENS]

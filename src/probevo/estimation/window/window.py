@@ -69,7 +69,7 @@ class Window:
     """Linearisation points T̄ of the poses, [K, 4, 4]; that of a pose is fixed once the prior
     contains it."""
     rig: FloatArray
-    """Disparity errors (b₀, b₁, b₂) of the rig in px, and the distortion κ of its lenses, [4]."""
+    """Disparity errors (b₀, b₁, b₂) of the rig in px, and the distortion k₁ of its lenses, [4]."""
     is_blind: BoolArray
     """Which frames no feature connects with others, so that their poses are dead-reckoned, [K]."""
     jitter: FloatArray
