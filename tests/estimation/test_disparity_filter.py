@@ -14,6 +14,7 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.estimation.disparity_filter import (
     RANDOM_WALK,
     DisparityFilter,
+    StackedErrors,
     update_at_known_motion,
     update_with_common_mode,
 )
@@ -442,6 +443,21 @@ def test_without_time_correlated_errors_there_is_nothing_to_filter() -> None:
     solution = evaluate_at(tracks, model, nothing)
     assert not len(filtered(tracks, model, nothing, solution=solution).ids)
     assert not len(nothing.of_tracks(tracks).ids)
+
+
+@pytest.mark.parametrize("jitter_cov", [None, JITTER_COV])
+def test_the_stacked_errors_are_the_unknowns_of_the_solve_and_then_the_common_mode(
+    jitter_cov: FloatArray | None,
+) -> None:
+    prev_px, curr_px = views(points_m(np.random.default_rng(0), 50), 1)
+    noise = replace(NOISE.predict(np.zeros((50, 0))), jitter_cov=jitter_cov)
+    observations = StereoObservations.of(prev_px, curr_px, noise, camera=CAMERA)
+    solution = solve_reprojection(observations, guess=STEP, max_iterations=0)
+    errors = StackedErrors.of(solution.jitter)
+    places = np.arange(errors.size)
+    parts = np.concatenate([places[part] for part in errors])
+    np.testing.assert_array_equal(parts, places)
+    assert errors.common_mode.start == solution.full_jacobian.shape[2]
 
 
 @pytest.mark.parametrize("jitter_cov", [None, JITTER_COV])

@@ -1,5 +1,8 @@
 """A Kalman filter of each track's disparity, and of the errors that all tracks have in common.
 
+The two-frame estimator and training use it. With the window, the default estimator, it stays empty:
+the window knows the landmarks of its frames itself, better than the filter does.
+
 **State.** The error of a measured disparity persists from frame to frame (the time-correlated error
 of ``StereoNoise``). A single residual hardly shows it, but the parallax of many frames does. The
 state of a track is therefore x = (d, δ): its true disparity, and the error of the measured one. The
@@ -49,7 +52,7 @@ from probevo.estimation.disparity_filter_numba import (
     update_states,
     whiten,
 )
-from probevo.estimation.reprojection import ReprojectionSolution, sum_products
+from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
 from probevo.measurements.jitter_numba import AXES
@@ -66,6 +69,46 @@ LEAST_DISPARITY_PX = 0.1
 _CHOSEN = 1.0
 """Eigenvalue, negated, that sorts the directions of the jitter before all others, whose eigenvalues
 are not negative."""
+
+
+class StackedErrors(NamedTuple):
+    """Where each part of z = (ξ, η', η°, c) is: the errors that all tracks of a step have in
+    common.
+
+    If the noise has no jitter, z = (ξ, c), and the slices of η' and η° are empty.
+    """
+
+    motion: slice
+    """ξ, the error of the motion, [6], m and rad."""
+    curr_jitter: slice
+    """η', that of the rig's jitter in the current frame, [3] or [0], in standard deviations of its
+    prior."""
+    prev_jitter: slice
+    """η°, the same for the previous frame, [3] or [0]."""
+    common_mode: slice
+    """c ~ N(0, I), the common-mode errors of the disparities in the filter, [6]."""
+
+    @staticmethod
+    def of(jitter: SolvedJitter | None) -> StackedErrors:
+        """Return the places for a solve with this jitter, or without any."""
+        axes = 0 if jitter is None else AXES
+        return StackedErrors(
+            motion=slice(0, 6),
+            curr_jitter=slice(6, 6 + axes),
+            prev_jitter=slice(6 + axes, 6 + 2 * axes),
+            common_mode=slice(6 + 2 * axes, 6 + 2 * axes + COMMON),
+        )
+
+    @property
+    def before_step(self) -> slice:
+        """(η°, c), which have moved the states of the tracks before the step already, [K], with
+        K = 6, or 9 with a jitter."""
+        return slice(self.prev_jitter.start, self.size)
+
+    @property
+    def size(self) -> int:
+        """Length of z, 12, or 18 with a jitter."""
+        return int(self.common_mode.stop)
 
 
 class StepCorrelation(NamedTuple):
@@ -107,7 +150,8 @@ class DisparityFilter:
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
     """∂(d, δ)/∂c of the common-mode errors c ~ N(0, I), [M, 2, K], px: first the three of the rig's
-    jitter in the last frame, if the noise has one, then U; K = 9 or 6."""
+    jitter in the last frame, if the noise has one, then U; K = 9 or 6. The next step has them as
+    ``StackedErrors.before_step``."""
     path_sensitivity: FloatArray
     """∂(path)/∂c, along the axes of the last frame, [6, K]."""
     path_cross_cov: FloatArray
@@ -127,6 +171,11 @@ class DisparityFilter:
             path_sensitivity=np.zeros((6, COMMON)),
             path_cross_cov=np.zeros((6, 6)),
         )
+
+    @property
+    def common_without_jitter(self) -> FloatArray:
+        """U, the columns of ``common`` behind those of the jitter, [M, 2, 6], px."""
+        return self.common[:, :, -COMMON:]
 
     def of_tracks(self, tracks: Tracks) -> DisparityFilter:
         """Return the states of those of N tracks that the filter knows, listed in
@@ -175,6 +224,8 @@ class CommonErrors(NamedTuple):
 class _JointPosterior:
     """The joint posterior of motion, rig's jitter and common-mode errors, z = (ξ, η, c)."""
 
+    errors: StackedErrors
+    """Where z has them."""
     mean: FloatArray
     """[m + 6], with m = 6, or 12 with a jitter."""
     root: FloatArray
@@ -206,15 +257,14 @@ class _JointPosterior:
         refined = solution.refined[rows, 2]
         is_measurable = point > LEAST_DISPARITY_PX
         growth = np.where(is_measurable, refined / np.maximum(point, LEAST_DISPARITY_PX), 1.0)
-        # Of the filter's common errors only c, the last six: η° is among the unknowns of the solve.
-        # Its row of d is scaled, that of δ stays.
-        common = prior.common[:, :, -COMMON:].copy()
+        # Of the filter's common errors only c: η° is among the unknowns of the solve. The row of d
+        # is scaled, that of δ stays.
+        common = prior.common_without_jitter.copy()
         common[:, 0] *= growth[:, None]
         # M = H U of each feature, summed to the blocks c × (ξ, η), c × c and the gradient of c.
         linearized = _linearized(solution)
-        own = linearized.jacobian.shape[2]
         equations = CommonModeEquations(
-            cross=np.empty((own, COMMON)),
+            cross=np.empty((linearized.jacobian.shape[2], COMMON)),
             hessian=np.empty((COMMON, COMMON)),
             gradient=np.empty(COMMON),
         )
@@ -225,18 +275,21 @@ class _JointPosterior:
             common=common,
             equations=equations,
         )
-        mean = np.zeros(own + COMMON)
-        root = np.zeros((own + COMMON, own + COMMON))
+        errors = StackedErrors.of(solution.jitter)
+        mean = np.zeros(errors.size)
+        root = np.zeros((errors.size, errors.size))
         if not joint_posterior(
             solution.full_hessian,
             solution.full_cov,
             equations,
-            num_known=6 if knows_motion else 0,
+            num_known=errors.motion.stop if knows_motion else 0,
             mean=mean,
             root=root,
         ):
             raise np.linalg.LinAlgError("the normal equations are singular to working precision")
-        return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
+        return _JointPosterior(
+            errors=errors, mean=mean, root=root, common=common, linearized=linearized
+        )
 
     @staticmethod
     def at_known_motion(
@@ -301,8 +354,9 @@ def update_with_common_mode(
     try:
         posterior = _JointPosterior.of(solution, prior)
         T_curr_prev = np.empty((4, 4))
-        perturb(posterior.mean[:6].copy(), solution.T_curr_prev, T_curr_prev)
-        cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
+        motion = posterior.errors.motion
+        perturb(posterior.mean[motion].copy(), solution.T_curr_prev, T_curr_prev)
+        cov: FloatArray = posterior.root[motion] @ posterior.root[motion].T
         updated = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
         after = _update(
             prior,
@@ -377,30 +431,105 @@ def _update(
     inliers: BoolArray,
     posterior: _JointPosterior | None,
 ) -> DisparityFilter:
+    """Update the states of the inliers with the residuals of a step, and move them to its frame.
+
+    Args:
+        prior: the filter's states of these tracks (``of_tracks``).
+        tracks: the N tracks.
+        noise: the noise of each; without time-correlated errors there is nothing to filter.
+        solution: the tracks at the motion of the step.
+        camera: the rectified camera.
+        inliers: which of the tracks to keep in the filter, [N].
+        posterior: of the errors z that the tracks have in common; None if z is taken as zero, as
+            where the motion is exact.
+
+    Raises:
+        numpy.linalg.LinAlgError: a covariance is not positive definite to working precision.
+    """
     if noise.time_correlated is None:
         return DisparityFilter.none()
-    # Keep the inliers, sorted by identity, so that ``of_tracks`` can find them by bisection.
+    chosen = _sorted_inliers(tracks, solution, inliers)
+    states = _updated_states(chosen, prior, solution, posterior)
+    # Random walk of δ until the next frame: its variance grows by a share of τ².
+    states.cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
+    # The errors that the tracks have in common after the step; the rest is added to ``states.cov``.
+    if posterior is None:
+        common_mode = _NextCommonMode.none(len(chosen))
+    else:
+        common_mode = _split_errors(prior, solution, posterior, states)
+    # Move the disparities to the current frame. Points that the motion has taken behind the camera
+    # have none any more.
+    depth_ratio = _depth_ratio(
+        tracks.prev_px[chosen], states.mean[:, 0], solution.T_curr_prev, camera=camera
+    )
+    ahead = depth_ratio > NEAREST
+    kept = chosen[ahead]
+    common = common_mode.sensitivity[ahead]
+    jitter = common_mode.jitter
+    if jitter is not None:
+        jitter = jitter._replace(sensitivity=common[:, :, :AXES])
+    curr_px = tracks.curr_px[kept]
+    return DisparityFilter(
+        ids=tracks.ids[kept],
+        states=DisparityPrior(
+            rows=np.arange(len(kept)),
+            disparity=states.mean[ahead, 0] / depth_ratio[ahead],
+            error=states.mean[ahead, 1],
+            cov=states.cov[ahead],
+            jitter=jitter,
+        ),
+        measured_px=curr_px[:, 0] - curr_px[:, 2],
+        common=common,
+        path_sensitivity=common_mode.path_sensitivity,
+        path_cross_cov=common_mode.path_cross_cov,
+        correlation=common_mode.correlation,
+    )
+
+
+def _sorted_inliers(tracks: Tracks, solution: ReprojectionSolution, inliers: BoolArray) -> IntArray:
+    """Return the indices of the tracks to keep, [M], sorted by identity, so that ``of_tracks`` can
+    find them by bisection.
+
+    Args:
+        tracks: the N tracks.
+        solution: the solve, in which tracks behind the camera have no information.
+        inliers: which of the tracks are inliers, [N].
+    """
     order = np.argsort(tracks.ids)
-    chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
-    count = len(chosen)
-    # Common-mode errors z, their posterior, and how they move each track before the update.
+    return order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
+
+
+def _updated_states(
+    chosen: IntArray,
+    prior: DisparityFilter,
+    solution: ReprojectionSolution,
+    posterior: _JointPosterior | None,
+) -> PosteriorStates:
+    """Return the Kalman update of (d, δ) with the residual of each track, for given errors z.
+
+    How (d, δ) depend on z is propagated along.
+
+    Args:
+        chosen: indices of the tracks to update, [M].
+        prior: the filter's states of the N tracks before the step (``of_tracks``).
+        solution: the N tracks at the motion of the step.
+        posterior: of z; None if z is taken as zero.
+    """
+    errors = StackedErrors.of(solution.jitter)
     linearized = _linearized(solution) if posterior is None else posterior.linearized
-    # z = (ξ, η, c), of which (ξ, η) are ``own`` many; tracks new to the filter do not move with c.
-    own = linearized.jacobian.shape[2]
-    mean = np.zeros(own + COMMON)
-    common = np.zeros((len(tracks), 2, COMMON))
+    mean = np.zeros(errors.size) if posterior is None else posterior.mean
+    # How c, and η° if there is a jitter, have moved (d, δ) before the step. Tracks new to the
+    # filter do not move with c.
+    common = np.zeros((len(linearized.jacobian), 2, COMMON))
     if posterior is not None:
         common[prior.states.rows] = posterior.common
-        mean = posterior.mean
     if solution.jitter is not None:
-        common = np.concatenate(
-            [solution.jitter.unknown.effects.sensitivity[:, 2:], common], axis=2
-        )
-    # Kalman update of (d, δ) of each track, given z. Sensitivities to z are propagated along.
+        by_prev_jitter = solution.jitter.unknown.effects.sensitivity[:, 2:]
+        common = np.concatenate([by_prev_jitter, common], axis=2)
     states = PosteriorStates(
-        mean=np.empty((count, 2)),
-        cov=np.empty((count, 2, 2)),
-        sensitivity=np.empty((count, 2, own + COMMON)),
+        mean=np.empty((len(chosen), 2)),
+        cov=np.empty((len(chosen), 2, 2)),
+        sensitivity=np.empty((len(chosen), 2, errors.size)),
     )
     update_states(
         chosen,
@@ -415,71 +544,105 @@ def _update(
         mean=mean,
         posterior=states,
     )
-    # Random walk of δ until the next frame: its variance grows by a share of τ².
-    cov = states.cov
-    cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
-    # Split the errors z into the next common mode and the rest, which is added to each track's own
-    # covariance; and find how the common mode moves the path.
-    # z = mean + root w, with whitened errors w ~ N(0, I); a direction is one of the space of w.
-    T = solution.T_curr_prev
-    kept_common = np.zeros((count, 2, COMMON))
-    path_sensitivity = np.zeros((6, COMMON))
-    path_cross_cov = np.zeros((6, 6))
-    correlation = StepCorrelation.none()
+    return states
+
+
+class _NextCommonMode(NamedTuple):
+    """The common-mode errors after a step, by which its tracks, its motion and the path depend on
+    each other."""
+
+    sensitivity: FloatArray
+    """``DisparityFilter.common``, of all tracks that were updated, [M, 2, K], px."""
+    path_sensitivity: FloatArray
+    """As in ``DisparityFilter``, [6, K]."""
+    path_cross_cov: FloatArray
+    """As in ``DisparityFilter``, [6, 6]."""
+    correlation: StepCorrelation
+    """Of the step with its neighbours."""
+    jitter: JitterPrior | None
+    """Posterior of the current frame's jitter, without the sensitivity of the tracks; None if the
+    noise has none."""
+
+    @staticmethod
+    def none(num_tracks: int) -> _NextCommonMode:
+        """Return that of tracks whose errors are independent."""
+        return _NextCommonMode(
+            sensitivity=np.zeros((num_tracks, 2, COMMON)),
+            path_sensitivity=np.zeros((6, COMMON)),
+            path_cross_cov=np.zeros((6, 6)),
+            correlation=StepCorrelation.none(),
+            jitter=None,
+        )
+
+
+def _split_errors(
+    prior: DisparityFilter,
+    solution: ReprojectionSolution,
+    posterior: _JointPosterior,
+    states: PosteriorStates,
+) -> _NextCommonMode:
+    """Split the errors z of a step into the next common mode and the rest.
+
+    z = mean + root w, with whitened errors w ~ N(0, I); a direction is one of the space of w.
+
+    Args:
+        prior: the filter before the step.
+        solution: the solve, at the motion of the step.
+        posterior: of z.
+        states: those of the M tracks; the covariance of the rest is added to ``states.cov``.
+    """
+    errors = posterior.errors
+    root = posterior.root
+    # The jitter of the current frame is the previous one of the next step, and therefore kept.
+    of_jitter = np.zeros((errors.size, 0))
     jitter = None
-    if posterior is not None:
-        root = posterior.root
-        of_jitter = np.zeros((len(root), 0))
-        if solution.jitter is not None:
-            # ω' = L' η', and η' follows ξ in z.
-            jitter_root = solution.jitter.unknown.curr_root
-            of_jitter, jitter = _jitter_after(
-                solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
-                jitter_root @ root[6 : 6 + AXES],
-            )
-        kept_common, directions = _strongest_directions(
-            states.sensitivity, root, cov=cov, chosen=of_jitter
+    if solution.jitter is not None:
+        # ω' = L' η'.
+        curr_root = solution.jitter.unknown.curr_root
+        of_jitter, jitter = _jitter_after(
+            solution.jitter.curr_rad + curr_root @ posterior.mean[errors.curr_jitter],
+            curr_root @ root[errors.curr_jitter],
         )
-        # Path and step depend on the same whitened errors: hence their cross-covariance. The path
-        # before the step depends on c and η° only, the last of z, and is turned to the axes of the
-        # current frame.
-        correlation = _correlation_of(
-            root[:6],
-            root[own + COMMON - common.shape[2] :],
-            directions,
-            is_first=not prior.path_sensitivity.any(),
-        )
-        path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
-        path_sensitivity = path_before @ correlation.transition + correlation.with_after
-        path_cross_cov = path_before @ correlation.with_before.T
-    # Move the disparities to the current frame: divide by q_z, the ratio of new to old depth
-    # (``camera.transfer``).
-    px = tracks.prev_px[chosen]
-    x, y = camera.normalized(px[:, 0], px[:, 1])
-    # λ = d/(f_u b), and q_z = (C m)_z + λ t_z with m = (x, y, 1).
-    inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)
-    depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
-    # Points that the motion has taken behind the camera have no disparity any more.
-    ahead = depth > NEAREST
-    kept = chosen[ahead]
-    curr_px = tracks.curr_px[kept]
-    if jitter is not None:
-        jitter = jitter._replace(sensitivity=kept_common[ahead, :, :AXES])
-    return DisparityFilter(
-        ids=tracks.ids[kept],
-        states=DisparityPrior(
-            rows=np.arange(len(kept)),
-            disparity=states.mean[ahead, 0] / depth[ahead],
-            error=states.mean[ahead, 1],
-            cov=cov[ahead],
-            jitter=jitter,
-        ),
-        measured_px=curr_px[:, 0] - curr_px[:, 2],
-        common=kept_common[ahead],
-        path_sensitivity=path_sensitivity,
-        path_cross_cov=path_cross_cov,
-        correlation=correlation,
+    sensitivity, directions = _strongest_directions(
+        states.sensitivity, root, cov=states.cov, chosen=of_jitter
     )
+    # Path and step depend on the same whitened errors: hence their cross-covariance. The path
+    # before the step depends on η° and c only, and is turned to the axes of the current frame.
+    before_step = root[errors.before_step]
+    correlation = _correlation_of(
+        root[errors.motion],
+        before_step,
+        directions,
+        is_first=not prior.path_sensitivity.any(),
+    )
+    path_before = se3.adjoint(solution.T_curr_prev) @ _path_sensitivity(prior, len(before_step))
+    return _NextCommonMode(
+        sensitivity=sensitivity,
+        path_sensitivity=path_before @ correlation.transition + correlation.with_after,
+        path_cross_cov=path_before @ correlation.with_before.T,
+        correlation=correlation,
+        jitter=jitter,
+    )
+
+
+def _depth_ratio(
+    prev_px: FloatArray, disparity: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
+) -> FloatArray:
+    """Return the ratio of new to old depth, q_z, by which the disparity is divided
+    (``camera.transfer``).
+
+    Args:
+        prev_px: observations of M tracks in the previous frame, [M, 4], px.
+        disparity: their disparities in that frame, [M], px.
+        T_curr_prev: the motion, [4, 4].
+        camera: the rectified camera.
+    """
+    # λ = d/(f_u b), and q_z = (C m)_z + λ t_z with m = (x, y, 1).
+    T = T_curr_prev
+    x, y = camera.normalized(prev_px[:, 0], prev_px[:, 1])
+    inverse_depth = disparity / (camera.fu_px * camera.baseline_m)
+    ratio: FloatArray = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
+    return ratio
 
 
 def _correlation_of(

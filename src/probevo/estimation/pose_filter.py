@@ -10,6 +10,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation import gauss_newton
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
+from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.geometry import se3
 from probevo.measurements.base import (
     Measurement,
@@ -195,9 +196,9 @@ class PoseFilter:
         optimum = found[0] if len(found) == 1 else min(found, key=_cost)
         # The posterior, split again into the common-mode part and the rest.
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
-        cov = _inverse(information)
+        cov = scaled_inverse(information)
         # s⁺ = A s with A = P⁺ P⁻¹; of P⁺, what is not s⁺ s⁺ᵀ is the pose's own.
-        common_mode = cov @ _inverse(prior_cov) @ self.common_mode
+        common_mode = cov @ scaled_inverse(prior_cov) @ self.common_mode
         return PoseFilter(
             T_world_cam=se3.inverse(optimum.values[pose]),
             own_cov=cov - common_mode @ common_mode.T,
@@ -235,7 +236,7 @@ class _JointPrior(VectorMeasurement):
         covariance: FloatArray,
     ) -> None:
         super().__init__(0.5 * (covariance + covariance.T))
-        self._information = _inverse(self.covariance)
+        self._information = scaled_inverse(self.covariance)
         self._pose_prior = PosePrior(pose, T_cam_world, np.eye(POSE))
         self.further = further
 
@@ -269,12 +270,3 @@ class _JointPrior(VectorMeasurement):
 def _cost(optimum: gauss_newton.Optimum) -> float:
     """Return the cost of all measurements where a solve ended."""
     return sum(one.linearize(optimum.values).cost for one in optimum.measurements)
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Invert a covariance or information, scaled to a unit diagonal first: the variances of the
-    states differ by many decades."""
-    sigma = 1.0 / np.sqrt(np.diagonal(matrix))
-    units = np.outer(sigma, sigma)
-    inverse: FloatArray = np.linalg.inv(matrix * units) * units
-    return inverse

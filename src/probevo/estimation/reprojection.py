@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -10,8 +9,8 @@ from typing import cast
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, invert_positive_definite
 from probevo.estimation import gauss_newton
+from probevo.estimation.scaled_inverse import inverse_or_nan
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.jitter_numba import AXES, DOF
@@ -224,35 +223,3 @@ def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return Σ_n left_nᵀ right_n of [N, 4, K] and [N, 4, L]: [K, L]."""
     total: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
     return total
-
-
-def inverse_or_nan(information: FloatArray) -> FloatArray:
-    """Return the inverse, [n, n], or NaN where the information is not positive definite to working
-    precision."""
-    inverse = np.empty(information.shape)
-    if not _invert_in_its_units(information, inverse):
-        inverse[:] = np.nan
-    return inverse
-
-
-@compiled
-def _invert_in_its_units(information: FloatArray, inverse: FloatArray) -> bool:
-    """Invert after scaling the diagonal to one; False where that is not positive definite.
-
-    Metres, radians and standard deviations of the jitter then count alike, so that the test does
-    not depend on the units. A diagonal entry that is not positive makes all NaN, which fails it.
-    """
-    n = len(information)
-    sigma = np.empty(n)
-    for i in range(n):
-        sigma[i] = 1.0 / math.sqrt(information[i, i]) if information[i, i] > 0.0 else math.nan
-    scaled = np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            scaled[i, j] = information[i, j] * sigma[i] * sigma[j]
-    if not invert_positive_definite(scaled, np.zeros((n, n)), inverse):
-        return False
-    for i in range(n):
-        for j in range(n):
-            inverse[i, j] *= sigma[i] * sigma[j]
-    return True

@@ -86,30 +86,68 @@ def update_rig(
     # A loss that descends to zero may have rejected all features.
     if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
         return rig, CommonMode.none()
-    # Sensitivities of the residuals to the calibration, and weighted products of both
+    equations = _joint_equations(tracks, solution, camera)
+    return _updated_rig(rig, solution, equations), _common_mode(rig, solution, equations)
+
+
+class _JointEquations(NamedTuple):
+    """Normal equations of motion and jitter, (ξ, η), and of the R errors of the calibration, (b₀,
+    c, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of the log-likelihood by both.
+
+    H is ``ReprojectionSolution.full_hessian``. C has a minus since J is the derivative of the
+    prediction, and D that of the residual.
+    """
+
+    cross: FloatArray
+    """C = Σ w Jᵀ Σ⁻¹ D, [m, R], with m = 6, or 12 with a jitter."""
+    of_calibration: FloatArray
+    """B = Σ w Dᵀ Σ⁻¹ D, [R, R]."""
+    motion_gradient: FloatArray
+    """By (ξ, η), with the prior of η, [m]."""
+    calibration_gradient: FloatArray
+    """By the errors of the calibration, without their prior, [R]."""
+
+
+def _joint_equations(
+    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+) -> _JointEquations:
+    """Sum the normal equations over N tracks, with the robust weights of their solution."""
     D = calibration_sensitivity(tracks, solution, camera)
-    jacobian = solution.full_jacobian
     # w Σ⁻¹ (D, e): both at once.
-    columns = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
-    weighted = np.empty_like(columns)
-    weigh_columns(solution.information, solution.irls_weight, columns, weighted)
-    # Normal equations of (ξ, η) and (b₀, c, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of
-    # both. C has a minus since J is the derivative of the prediction, and D that of the residual.
-    of_motion = sum_products(jacobian, weighted)
-    C = of_motion[:, :-1]
-    motion_gradient = of_motion[:, -1]
-    of_rig = sum_products(D, weighted)
-    B = of_rig[:, :-1]
-    rig_gradient = -of_rig[:, -1]
+    D_and_residual = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
+    weighted = np.empty_like(D_and_residual)
+    weigh_columns(solution.information, solution.irls_weight, D_and_residual, weighted)
+    by_motion = sum_products(solution.full_jacobian, weighted)
+    by_calibration = sum_products(D, weighted)
+    motion_gradient = by_motion[:, -1]
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
-    # The Schur complement on b₀, c, a₆ and ε, and the step (ξ, η) with these held.
-    solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
-    # Gain H⁻¹ C: B − Cᵀ H⁻¹ C, and its gradient g_rig + Cᵀ H⁻¹ g_motion.
+    return _JointEquations(
+        cross=by_motion[:, :-1],
+        of_calibration=by_calibration[:, :-1],
+        motion_gradient=motion_gradient,
+        calibration_gradient=-by_calibration[:, -1],
+    )
+
+
+def _updated_rig(
+    rig: RigCalibration, solution: ReprojectionSolution, equations: _JointEquations
+) -> RigCalibration:
+    """Update the errors of the images, the focal length's and the jitter with a step.
+
+    Args:
+        rig: the estimate before the step.
+        solution: the motion.
+        equations: those of the step.
+    """
+    # Eliminate (ξ, η): the Schur complement on (b₀, c, a₆, ε) is B − Cᵀ H⁻¹ C, and its gradient
+    # g_rig + Cᵀ H⁻¹ g_motion. The step is that of (ξ, η) with the calibration held.
+    C = equations.cross
+    solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, equations.motion_gradient]))
     gain = solved[:, :-1]
     step = solved[:, -1].astype(float)
-    gradient = gain.T @ motion_gradient + rig_gradient
-    information = B - C.T @ gain
+    gradient = gain.T @ equations.motion_gradient + equations.calibration_gradient
+    information = equations.of_calibration - C.T @ gain
     updated = rig
     if solution.exceeds_noise:
         updated = rig.with_image_errors(
@@ -136,9 +174,22 @@ def update_rig(
     updated = replace(updated, focal=focal)
     if solution.jitter is not None:
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
-    # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
-    # held here.
-    motion_gain = np.linalg.solve(solution.hessian, C[:6]).astype(float)
+    return updated
+
+
+def _common_mode(
+    rig: RigCalibration, solution: ReprojectionSolution, equations: _JointEquations
+) -> CommonMode:
+    """Return how errors of the calibration move the motion of a step: Schmidt's consider term.
+
+    Args:
+        rig: the estimate by which the tracks of the step were corrected.
+        solution: the motion.
+        equations: those of the step.
+    """
+    # ∂ξ/∂(b₀, c, a₆, ε) = H⁻¹ C. The jitter is new in every frame and cannot absorb a constant
+    # error, so it is held here.
+    motion_gain = np.linalg.solve(solution.hessian, equations.cross[:6]).astype(float)
     # One root of the joint covariance, which is lower triangular: b moves the motion by itself and
     # by what it tells of the field; of the field, only what is independent of b is left to add.
     root = np.linalg.cholesky(rig.disparity_and_field_cov)
@@ -148,13 +199,16 @@ def update_rig(
     # A wrong focal length moves the motion, and what was estimated of the image errors, too. It is
     # f b that a stereo calibration fixes by the size of its board, and a longer baseline makes the
     # motion longer.
-    focal_gain = motion_gain[:, _EPSILON]
+    focal_gain = motion_gain[:, _EPSILON].copy()
     focal_gain[:3] -= solution.T_curr_prev[:3, 3]
     of_focal_length = focal_gain + motion_gain[:, _IMAGE] @ rig.image.shift_by_focal
-    columns = np.column_stack(
-        [of_disparity, _square_root(of_field), rig.image.focal_rms * of_focal_length]
+    return CommonMode(
+        columns=np.column_stack(
+            [of_disparity, _square_root(of_field), rig.image.focal_rms * of_focal_length]
+        ),
+        distortion_gain=distortion_gain,
+        focal_gain=focal_gain,
     )
-    return updated, CommonMode(columns, distortion_gain, focal_gain)
 
 
 def _square_root(columns: FloatArray) -> FloatArray:
@@ -218,6 +272,6 @@ def calibration_sensitivity(
         sensitivity[:, :, _FIELD],
     )
     focal_sensitivity(
-        solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _RADIAL + 1]
+        solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _EPSILON]
     )
     return sensitivity

@@ -114,8 +114,8 @@ class TrackFactors:
         # δ). The derivatives take that out of the residual, which is predicted minus measured.
         jitter = observations.jitter
         common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + DOF))
-        common[history.states.rows, _D, :COMMON] = -history.common[:, 0, -COMMON:]
-        common[history.states.rows, _U_R, :COMMON] = -history.common[:, 1, -COMMON:]
+        common[history.states.rows, _D, :COMMON] = -history.common_without_jitter[:, 0]
+        common[history.states.rows, _U_R, :COMMON] = -history.common_without_jitter[:, 1]
         if jitter is not None:
             curr = slice(COMMON, COMMON + AXES)
             prev = slice(COMMON + AXES, COMMON + DOF)

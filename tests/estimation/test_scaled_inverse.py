@@ -1,0 +1,48 @@
+"""Inverses do not depend on the units of the states."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.estimation.scaled_inverse import inverse_or_nan, scaled_inverse
+
+UNITS = np.logspace(-9.0, 9.0, 6)
+
+
+def definite(seed: int) -> FloatArray:
+    """A well-conditioned covariance, [6, 6]."""
+    root = np.random.default_rng(seed).normal(size=(6, 6))
+    return root @ root.T + np.eye(6)
+
+
+@pytest.mark.parametrize("invert", [scaled_inverse, inverse_or_nan])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_inverse_in_other_units_is_as_accurate(
+    invert: Callable[[FloatArray], FloatArray], seed: int
+) -> None:
+    """Also where the units differ by more than the precision of a float."""
+    matrix = definite(seed)
+    inverse = invert(UNITS[:, None] * matrix * UNITS)
+    np.testing.assert_allclose(
+        UNITS[:, None] * inverse * UNITS, np.linalg.inv(matrix), rtol=1e-12, atol=1e-14
+    )
+
+
+def test_the_scaled_inverse_is_symmetric_to_the_byte() -> None:
+    inverse = scaled_inverse(UNITS[:, None] * definite(3) * UNITS)
+    np.testing.assert_array_equal(inverse, inverse.T)
+
+
+def test_the_scaled_inverse_of_a_singular_matrix_is_an_error() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        scaled_inverse(np.ones((3, 3)))
+
+
+def test_information_that_is_not_positive_definite_has_no_inverse() -> None:
+    """Singular to working precision or not finite: NaN all over."""
+    root = np.random.default_rng(12).normal(size=(6, 5))
+    assert np.isnan(inverse_or_nan(root @ root.T - 1e-3 * np.eye(6))).all()
+    assert np.isnan(inverse_or_nan(np.full((6, 6), np.inf))).all()
+    assert np.isnan(inverse_or_nan(np.zeros((6, 6)))).all()
