@@ -311,8 +311,8 @@ def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
 
 
 def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
-    """After 1.2 s without images, 10 m, the error is within 3σ and 1 % of the way; σ of the motion
-    over four frames grows meanwhile, and is then as before."""
+    """After 1.2 s without images, 10 m, the error is within 3σ and 1 % of the distance; σ of the
+    motion over four frames grows meanwhile, and is then as before."""
     frames, truth = drive_of(30, 40)
     by = odometry()
     estimates = []
@@ -329,8 +329,8 @@ def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
     sigma = [np.sqrt(np.trace(estimate.pose_cov[:3, :3])) for estimate in estimates]
     assert (np.diff(sigma[17:30]) > 0.0).all()
     start = truth[17] @ se3.inverse(estimates[17].T_world_cam)
-    way = start @ dark[-1].T_world_cam
-    error_m = np.linalg.norm((se3.inverse(truth[29]) @ way)[:3, 3])
+    aligned = start @ dark[-1].T_world_cam
+    error_m = np.linalg.norm((se3.inverse(truth[29]) @ aligned)[:3, 3])
     length_m = np.linalg.norm(truth[29, :3, 3] - truth[17, :3, 3])
     error = se3.log(se3.inverse(dark[-1].T_world_cam) @ truth[29])
     assert error_m < 0.01 * length_m
@@ -689,8 +689,8 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
         error = se3.log(estimates[k].T_curr_prev @ se3.inverse(motion))
         assert error @ np.linalg.solve(estimates[k].cov, error) < 30.0
     sigma_m = np.sqrt(np.trace(estimates[-1].pose_cov[:3, :3]))
-    way = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
-    assert np.linalg.norm(way[:3, 3]) < 3.0 * sigma_m
+    off = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
+    assert np.linalg.norm(off[:3, 3]) < 3.0 * sigma_m
 
 
 def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known() -> None:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window.equations import POSE, RIG, WindowEquations
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3, so3
@@ -289,7 +289,7 @@ def inertial_system(
 
 
 def linearized(
-    window: Window, states: InertialStates, factors: Sequence[Preintegration], first: np.ndarray
+    window: Window, states: InertialStates, factors: Sequence[Preintegration], first: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return residuals and Jacobians of F preintegrations.
 
@@ -309,42 +309,150 @@ def linearized(
     where the IMU is at l in the camera's frame, and so at Cᵀ (l − t) in the world.
 
     Returns:
-        Residuals (δφ, δv, δp), [F, 9], and Jacobians with respect to both poses, velocity and
-        biases at both ends, and gravity, [F, 9, 6 + 6 + 9 + 9 + 2].
+        Residuals (δφ, δv, δp), [F, 9], at the current values, and Jacobians with respect to both
+        poses, velocity and biases at both ends, and gravity, [F, 9, 6 + 6 + 9 + 9 + 2], at the
+        linearisation points.
     """
-    second = first + 1
-    dt = np.array([f.duration_s for f in factors])[:, None]
-    lever = np.stack([f.lever_m for f in factors])
-    by_bias = np.stack([f.bias_jacobian for f in factors])
+    measured = _Factors.stacked(factors)
+    current = _kinematics(
+        measured, window.T_cam_world, first, velocity=states.velocity, gravity=states.gravity
+    )
+    residual = _residuals(measured, current, states.bias[first])
+    linear = _kinematics(
+        measured,
+        window.T_linear,
+        first,
+        velocity=states.velocity_linear,
+        gravity=states.gravity_linear,
+    )
+    # g = Exp(B δ) ḡ moves by −ḡ^ B δ.
+    gravity_change = -so3.wedge(states.gravity_linear) @ states.across
+    return residual, _jacobians(measured, linear, residual[:, :3], gravity_change)
+
+
+class _Factors(NamedTuple):
+    """F preintegrations (``Preintegration``), stacked."""
+
+    duration_s: FloatArray
+    """T, [F, 1]."""
+    rotation: FloatArray
+    """ΔR, [F, 3, 3]."""
+    velocity: FloatArray
+    """Δv, [F, 3], m/s."""
+    position: FloatArray
+    """Δp, [F, 3], m."""
+    bias_jacobian: FloatArray
+    """Derivative of (δφ, δv, δp) with respect to ``bias``, [F, 9, 6]."""
+    bias: FloatArray
+    """Biases that were taken off the samples, [F, 6], rad/s and m/s²."""
+    lever_m: FloatArray
+    """l: position of the IMU in the camera's frame, [F, 3], m."""
+
+    @staticmethod
+    def stacked(factors: Sequence[Preintegration]) -> _Factors:
+        """Return the arrays of all factors."""
+        return _Factors(
+            duration_s=np.array([factor.duration_s for factor in factors])[:, None],
+            rotation=np.stack([factor.rotation for factor in factors]),
+            velocity=np.stack([factor.velocity for factor in factors]),
+            position=np.stack([factor.position for factor in factors]),
+            bias_jacobian=np.stack([factor.bias_jacobian for factor in factors]),
+            bias=np.stack([factor.bias for factor in factors]),
+            lever_m=np.stack([factor.lever_m for factor in factors]),
+        )
+
+
+class _Kinematics(NamedTuple):
+    """What poses, velocities and gravity say of F intervals, along the axes of camera i at their
+    start."""
+
+    C_i: FloatArray
+    """Rotation from the world to camera i, [F, 3, 3]."""
+    t_i: FloatArray
+    """Translation from the world to camera i, [F, 3], m."""
+    rotation: FloatArray
+    """R_ij, [F, 3, 3]."""
+    displacement: FloatArray
+    """R_ij (l − t_j) − (l − t_i): of the IMU, [F, 3], m."""
+    ballistic: FloatArray
+    """C_i (v_i T + ½ g T²): the part of it that is due to the velocity at the start and to gravity,
+    [F, 3], m."""
+    velocity_change: FloatArray
+    """C_i (v_j − v_i − g T): the change of velocity that is not due to gravity, [F, 3], m/s."""
+
+
+def _kinematics(
+    factors: _Factors,
+    T_cam_world: FloatArray,
+    first: IntArray,
+    *,
+    velocity: FloatArray,
+    gravity: FloatArray,
+) -> _Kinematics:
+    """Return the kinematics of F intervals.
+
+    Args:
+        factors: their durations, and the place of the IMU.
+        T_cam_world: K poses, [K, 4, 4].
+        first: place of the frame where each interval starts, [F].
+        velocity: at the K frames, [K, 3], m/s.
+        gravity: in the world, [3], m/s².
+    """
+    T_i = T_cam_world[first]
+    T_j = T_cam_world[first + 1]
+    C_i = T_i[:, :3, :3]
+    rotation = C_i @ T_j[:, :3, :3].mT
+    lever_m = factors.lever_m
+    dt = factors.duration_s
+    v_i = velocity[first]
+    return _Kinematics(
+        C_i=C_i,
+        t_i=T_i[:, :3, 3],
+        rotation=rotation,
+        displacement=_products(rotation, lever_m - T_j[:, :3, 3]) - (lever_m - T_i[:, :3, 3]),
+        ballistic=_products(C_i, dt * v_i + 0.5 * dt**2 * gravity),
+        velocity_change=_products(C_i, velocity[first + 1] - v_i - dt * gravity),
+    )
+
+
+def _residuals(factors: _Factors, current: _Kinematics, bias: FloatArray) -> FloatArray:
+    """Return (δφ, δv, δp), [F, 9]: what the states say minus what the samples say.
+
+    Args:
+        factors: F preintegrations.
+        current: kinematics at the current values.
+        bias: current biases at the start of each interval, [F, 6].
+    """
     # The samples were summed up with another bias; what that changes is taken to first order, as
     # (δφ, δv, δp), [F, 9]: ΔR Exp(δφ), Δv + δv, Δp + δp.
-    change = states.bias[first] - np.stack([f.bias for f in factors])
-    correction = (by_bias @ change[..., None])[..., 0]
-    T = window.T_cam_world
-    velocity = states.velocity
-    delta = _relative(T[first], T[second], lever)
-    gravity = states.gravity
-    acceleration = velocity[second] - velocity[first] - dt * gravity
-    way = dt * velocity[first] + 0.5 * dt**2 * gravity
-    # Residuals are what the states say minus what the samples say, hence −Jᵀ W r as the descent.
-    measured = np.stack([f.rotation for f in factors]) @ so3.exp(correction[:, :3])
-    residual = np.empty((len(factors), 9))
-    residual[:, :3] = so3.log(measured.mT @ delta.rotation)
-    residual[:, 3:6] = _turned(T[first], acceleration) - correction[:, 3:6]
-    residual[:, 3:6] -= np.stack([f.velocity for f in factors])
-    residual[:, 6:] = delta.position - _turned(T[first], way) - correction[:, 6:]
-    residual[:, 6:] -= np.stack([f.position for f in factors])
+    correction = _products(factors.bias_jacobian, bias - factors.bias)
+    rotation = factors.rotation @ so3.exp(correction[:, :3])
+    residual = np.empty((len(bias), 9))
+    residual[:, :3] = so3.log(rotation.mT @ current.rotation)
+    residual[:, 3:6] = current.velocity_change - correction[:, 3:6] - factors.velocity
+    residual[:, 6:] = current.displacement - current.ballistic - correction[:, 6:]
+    residual[:, 6:] -= factors.position
+    return residual
 
-    # All that follows is at the linearisation points, but for the Jacobians of Log: they are
-    # factors of the columns of both poses alike, so that what is unobservable remains so.
-    T = window.T_linear
-    velocity = states.velocity_linear
-    gravity = states.gravity_linear
-    delta = _relative(T[first], T[second], lever)
-    C_i = T[first, :3, :3]
-    acceleration = velocity[second] - velocity[first] - dt * gravity
-    way = dt * velocity[first] + 0.5 * dt**2 * gravity
-    jacobian = np.zeros((len(factors), 9, 2 * POSE + 2 * STATE + GRAVITY))
+
+def _jacobians(
+    factors: _Factors, linear: _Kinematics, delta_phi: FloatArray, gravity_change: FloatArray
+) -> FloatArray:
+    """Return the Jacobians of the residuals, [F, 9, 6 + 6 + 9 + 9 + 2].
+
+    All is at the linearisation points, but for the Jacobians of Log: they are factors of the
+    columns of both poses alike, so that what is unobservable remains so.
+
+    Args:
+        factors: F preintegrations.
+        linear: kinematics at the linearisation points.
+        delta_phi: δφ at the current values, [F, 3].
+        gravity_change: derivative of gravity with respect to its offset, [3, 2].
+    """
+    C_i = linear.C_i
+    R_ij = linear.rotation
+    dt = factors.duration_s[..., None]
+    jacobian = np.zeros((len(delta_phi), 9, 2 * POSE + 2 * STATE + GRAVITY))
     # Rows: δφ, δv, δp. Columns: ξ = [ρ; φ] of both poses, then (v, bias) of both, then gravity.
     rows_r = slice(0, 3)
     rows_v = slice(3, 6)
@@ -358,56 +466,39 @@ def linearized(
     v_j = slice(21, 24)
     # C ← Exp(φ) C at both ends, so that R_ij ← Exp(φ_i) R_ij Exp(−φ_j) = R_ij Exp(R_ijᵀ φ_i − φ_j).
     # So δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
-    inverse_right = np.linalg.inv(so3.left_jacobian(-residual[:, :3]))
-    jacobian[:, rows_r, phi_i] = inverse_right @ delta.rotation.mT
+    inverse_right = np.linalg.inv(so3.left_jacobian(-delta_phi))
+    jacobian[:, rows_r, phi_i] = inverse_right @ R_ij.mT
     jacobian[:, rows_r, phi_j] = -inverse_right
     # What C_i turns moves by φ_i × itself.
-    jacobian[:, rows_v, phi_i] = -so3.wedge((C_i @ acceleration[..., None])[..., 0])
+    jacobian[:, rows_v, phi_i] = -so3.wedge(linear.velocity_change)
     jacobian[:, rows_p, rho_i] = np.eye(3)
-    # t_i moves by ρ_i + φ_i × t_i. δp = R_ij (l − t_j) − l + t_i − C_i way − Δp: all of it but l
-    # and Δp turns with φ_i, and a × b = −b^ a gives the sign.
-    to_imu_j = delta.position + lever - T[first, :3, 3]
-    jacobian[:, rows_p, phi_i] = so3.wedge(
-        (C_i @ way[..., None])[..., 0] - to_imu_j - T[first, :3, 3]
-    )
+    # t_i moves by ρ_i + φ_i × t_i. δp = R_ij (l − t_j) − l + t_i − C_i (v_i T + ½ g T²) − Δp: all
+    # of it but l and Δp turns with φ_i, and a × b = −b^ a gives the sign.
+    to_imu_j = linear.displacement + factors.lever_m - linear.t_i  # R_ij (l − t_j)
+    jacobian[:, rows_p, phi_i] = so3.wedge(linear.ballistic - to_imu_j - linear.t_i)
     # In R_ij (l − t_j), the turns of C_jᵀ and t_j by φ_j cancel but for that of l.
-    jacobian[:, rows_p, rho_j] = -delta.rotation
-    jacobian[:, rows_p, phi_j] = delta.rotation @ so3.wedge(lever)
+    jacobian[:, rows_p, rho_j] = -R_ij
+    jacobian[:, rows_p, phi_j] = R_ij @ so3.wedge(factors.lever_m)
     # ∂δv/∂v and ∂δp/∂v; δp does not depend on v_j.
     jacobian[:, rows_v, v_i] = -C_i
-    jacobian[:, rows_p, v_i] = -dt[..., None] * C_i
+    jacobian[:, rows_p, v_i] = -dt * C_i
     jacobian[:, rows_v, v_j] = C_i
     # The bias of the first frame counts for the whole interval. It turns ΔR on its right, and so
     # ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
-    jacobian[:, :, bias_i] = -by_bias
-    inverse_left = np.linalg.inv(so3.left_jacobian(residual[:, :3]))
-    jacobian[:, rows_r, bias_i] = -inverse_left @ by_bias[:, rows_r]
-    # g = Exp(B δ) ḡ moves by −ḡ^ B δ.
-    # δv has −C_i g T, and δp has −½ C_i g T²: with the minus of −ḡ^ B δ, both columns are positive.
-    by_gravity = C_i @ (so3.wedge(gravity) @ states.across)
-    jacobian[:, rows_v, -GRAVITY:] = dt[..., None] * by_gravity
-    jacobian[:, rows_p, -GRAVITY:] = 0.5 * dt[..., None] ** 2 * by_gravity
-    return residual, jacobian
+    jacobian[:, :, bias_i] = -factors.bias_jacobian
+    inverse_left = np.linalg.inv(so3.left_jacobian(delta_phi))
+    jacobian[:, rows_r, bias_i] = -inverse_left @ factors.bias_jacobian[:, rows_r]
+    # δv has −C_i g T, and δp has −½ C_i g T².
+    by_gravity = C_i @ gravity_change
+    jacobian[:, rows_v, -GRAVITY:] = -dt * by_gravity
+    jacobian[:, rows_p, -GRAVITY:] = -0.5 * dt**2 * by_gravity
+    return jacobian
 
 
-class _Relative(NamedTuple):
-    """Rotation R_ij = R_iᵀ R_j, [F, 3, 3], and the way of the IMU along the axes of i, [F, 3]."""
-
-    rotation: FloatArray
-    position: FloatArray
-
-
-def _relative(T_i: FloatArray, T_j: FloatArray, lever: FloatArray) -> _Relative:
-    """Return rotation and way of the IMU between poses T_cam_world, [F, 4, 4] each."""
-    rotation = T_i[:, :3, :3] @ T_j[:, :3, :3].mT
-    position = (rotation @ (lever - T_j[:, :3, 3])[..., None])[..., 0] - (lever - T_i[:, :3, 3])
-    return _Relative(rotation, position)
-
-
-def _turned(T: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return vectors of the world, [F, 3], along the axes of poses T_cam_world, [F, 4, 4]."""
-    turned: FloatArray = (T[:, :3, :3] @ vectors[..., None])[..., 0]
-    return turned
+def _products(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the products of matrices, [F, R, C], and vectors, [F, C]."""
+    products: FloatArray = (matrices @ vectors[..., None])[..., 0]
+    return products
 
 
 def _places(at: int, p: int) -> np.ndarray:
@@ -545,13 +636,14 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     gravity = states.gravity
     # The state at the end, by the equations that ``linearized`` sets to zero.
     rotation = factor.rotation @ so3.exp(correction[:3])
-    way = factor.position + correction[6:]
-    way = way + C_i @ (dt * states.velocity[last] + 0.5 * dt**2 * gravity)
+    ballistic = C_i @ (dt * states.velocity[last] + 0.5 * dt**2 * gravity)
+    displacement = factor.position + correction[6:] + ballistic
     change = C_i.T @ (factor.velocity + correction[3:6])
     velocity = states.velocity[last] + dt * gravity + change
-    # The IMU is at l in both camera frames: p_prev = R_ij p_curr + s, and R_ij l + s = l + way.
-    lever = factor.lever_m
-    T_prev_curr = se3.from_parts(rotation, lever + way - rotation @ lever)
+    # The IMU is at l in both camera frames: p_prev = R_ij p_curr + s, and R_ij l + s is l plus the
+    # displacement.
+    lever_m = factor.lever_m
+    T_prev_curr = se3.from_parts(rotation, lever_m + displacement - rotation @ lever_m)
     T_curr_prev = se3.inverse(T_prev_curr)
     cov_of_states, cov_of_samples = _predicted_covariances(
         window, states, factor, T_curr_prev=T_curr_prev, velocity=velocity
