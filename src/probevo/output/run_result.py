@@ -338,7 +338,8 @@ class RunRecorder:
             motion: its estimate; of the first frame, only its existence counts.
             total_ms: wall time of the step; the sum of its stages by default.
             rejected: points rejected at this step, by the check's name.
-            imu_is_in_window: whether the poses of the window depend on an IMU (``uses_imu``).
+            imu_is_in_window: whether the poses of the window depend on an IMU
+                (``Inertial.is_used``).
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
         self._numbers.add(

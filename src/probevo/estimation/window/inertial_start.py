@@ -15,13 +15,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE, RIG
-from probevo.estimation.window.inertial_states import (
-    STATE,
-    InertialStates,
-    at_start,
-    inverse_of,
-    linearized,
-)
+from probevo.estimation.window.inertial_equations import inverse_of, linearized
+from probevo.estimation.window.inertial_states import STATE, InertialStates, at_start
 from probevo.estimation.window.window import Window
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
