@@ -434,7 +434,7 @@ class StereoOdometry:
             pose_cov=fusion.pose.cov.copy(),
             noise_factor=state.noise_scale.factor,
             sensors=outcomes,
-            imu_left_out=Inertial.of(window).note,
+            imu_reason=Inertial.of(window).reason,
             stage_ms=clock.times_ms,
         )
         after = replace(

@@ -22,6 +22,8 @@ from probevo.estimation.window.inertial_states import (
 )
 from probevo.estimation.window.inertial_states import STATE, InertialStates, moved
 from probevo.estimation.window.inertial_steps import (
+    NO_SOLUTION,
+    UNTESTABLE,
     system_of,
     with_samples,
     with_states_if_consistent,
@@ -29,6 +31,7 @@ from probevo.estimation.window.inertial_steps import (
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import Preintegration
 from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
@@ -466,10 +469,14 @@ def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
     fit = InertialFit(
         states_of(run[2]), squared=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
     )
-    assert "noise densities at least 2.5 times as large" in fit.reason_against(4.0)
-    assert not fit.reason_against(7.0)
-    wrong = replace(fit, squared=1e6)
-    assert "noise densities" not in wrong.reason_against(4.0)
+    noisy = fit.reason_against(4.0)
+    assert noisy is not None
+    assert "noise densities at least 2.5 times as large" in noisy.text
+    assert fit.reason_against(7.0) is None
+    wrong = replace(fit, squared=1e6).reason_against(4.0)
+    assert wrong is not None
+    assert wrong.fault is noisy.fault is ImuFault.CONTRADICTION
+    assert "noise densities" not in wrong.text
 
 
 def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
@@ -705,7 +712,7 @@ def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run)
         ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
         ImuStatus.WAITING: (untested, True, False),
         ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
-        ImuStatus.EXCLUDED: (used.excluded(""), False, False),
+        ImuStatus.EXCLUDED: (used.excluded(NO_SOLUTION), False, False),
     }
     assert set(expected) == set(ImuStatus)
     for status, (imu, bridges, predicts) in expected.items():
@@ -727,7 +734,7 @@ def test_an_imu_that_cannot_be_tested_waits() -> None:
     assert with_states_if_consistent(untested).inertial.is_used
     broken = with_states_if_consistent(replace(untested, cov=-untested.cov))
     assert not broken.inertial.is_used
-    assert "cannot be tested" in broken.inertial.note
+    assert broken.inertial.reason is UNTESTABLE
     assert not broken.inertial.is_excluded
 
 

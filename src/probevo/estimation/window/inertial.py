@@ -21,6 +21,7 @@ from probevo.estimation.window.inertial_noise import (
     median_excess,
 )
 from probevo.estimation.window.inertial_states import InertialStates, moved, with_frame
+from probevo.measurements.imu_reason import ImuReason
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
 
@@ -80,8 +81,8 @@ class Inertial:
     start, and then by the last innovations."""
     attempts: int = 0
     """Frames at which the test at the start was failed."""
-    note: str = ""
-    """Why the IMU says nothing of the last step, as the end of "the IMU …"; empty if it does."""
+    reason: ImuReason | None = None
+    """Why the IMU says nothing of the last step; None if it does."""
     is_excluded: bool = False
     """Whether it has been left out for good."""
     has_measured: bool = False
@@ -205,9 +206,9 @@ class Inertial:
             noise_factor=noise_factor,
         )
 
-    def silent(self, note: str) -> Inertial:
+    def silent(self, reason: ImuReason | None) -> Inertial:
         """Return the IMU as saying nothing of the motion to the next frame, for a reason."""
-        return replace(self, pending=None, prediction=None, note=note)
+        return replace(self, pending=None, prediction=None, reason=reason)
 
     def with_new_frame(self) -> Inertial:
         """Return the IMU with one more frame, to which the pending factor leads, and its states."""
@@ -254,7 +255,7 @@ class Inertial:
             noise_factor=1.0,
         )
 
-    def excluded(self, note: str) -> Inertial:
+    def excluded(self, reason: ImuReason) -> Inertial:
         """Return the IMU as left out for good, for a reason."""
         factors = (None,) * len(self.factors)
-        return replace(self.restarted(), factors=factors, note=note, is_excluded=True)
+        return replace(self.restarted(), factors=factors, reason=reason, is_excluded=True)

@@ -33,8 +33,8 @@ from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.base import pose_of
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration import (
-    NO_ACCELEROMETER,
     NoPreintegration,
     Preintegration,
     preintegrate,
@@ -55,12 +55,21 @@ MOST_GATED = 6
 """So many of the last ``NUM_TESTED`` factors beyond the gate, and the IMU is left out."""
 MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
-NO_SOLUTION = "is left out for good: with it, the window has no solution"
+NO_SOLUTION = ImuReason(
+    ImuFault.NO_SOLUTION, "is left out for good: with it, the window has no solution"
+)
 """Why an IMU is left out where the normal equations with its states are singular."""
-SHORT_WINDOW = "is left out: with fewer than 3 window.frames, it cannot be tested"
+SHORT_WINDOW = ImuReason(
+    ImuFault.SHORT_WINDOW, "is left out: with fewer than 3 window.frames, it cannot be tested"
+)
 """Why an IMU is left out of a window that never has ``FEWEST_AT_START`` frames."""
-UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be accurate"
+UNTESTABLE = ImuReason(
+    ImuFault.UNTESTABLE,
+    "cannot be tested: the covariance of the poses is too large to be accurate",
+)
 """Why an IMU is not used where its factors are lost in rounding."""
+UNKNOWN_VELOCITY = ImuReason(ImuFault.UNKNOWN_VELOCITY, "does not know its velocity in this step")
+"""Why an IMU is not used where the motion is known better by other means."""
 
 
 def without_imu_if_untestable(window: Window, most_frames: int) -> Window:
@@ -98,9 +107,9 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
         fit = fit_inertial_states(window, factors, calibration, first=first)
     except np.linalg.LinAlgError:
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
-        return replace(window, inertial=replace(inertial, note=UNTESTABLE))
+        return replace(window, inertial=replace(inertial, reason=UNTESTABLE))
     reason = fit.reason_against(LARGEST_EXCESS)
-    if not reason:
+    if reason is None:
         states = with_gravity_of_known_length(fit.states)
         # The factors that were tested have the noise that the test has shown, as later ones have.
         excess = max(1.0, fit.excess)
@@ -108,13 +117,13 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
             None if factor is None else replace(factor, cov=excess * factor.cov)
             for factor in inertial.factors
         )
-        used = replace(inertial, states=states, factors=noisier, noise_factor=excess, note="")
+        used = replace(inertial, states=states, factors=noisier, noise_factor=excess, reason=None)
         return replace(window, inertial=used)
     # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1
     if attempts >= MOST_ATTEMPTS:
-        return without_imu(window, f"is left out for good: it {reason}")
-    return replace(window, inertial=replace(inertial, attempts=attempts, note=reason))
+        return without_imu(window, reason.for_good())
+    return replace(window, inertial=replace(inertial, attempts=attempts, reason=reason))
 
 
 def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
@@ -146,9 +155,8 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     )
     if isinstance(factor, NoPreintegration):
         # A gyro alone predicts motions, as with two frames; nobody expects more of it.
-        is_gyro = factor.reason == NO_ACCELEROMETER and not inertial.has_measured
-        note = "" if is_gyro else factor.reason
-        return replace(window, inertial=inertial.silent(note))
+        is_gyro = factor.reason.fault is ImuFault.NO_ACCELEROMETER and not inertial.has_measured
+        return replace(window, inertial=inertial.silent(None if is_gyro else factor.reason))
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     # Predict the next motion, once velocity, biases and gravity are known.
     prediction = None
@@ -156,8 +164,10 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         prediction = predicted(window, states, factor)
         if not np.isfinite(prediction.cov).all():
             prediction = None
-    inertial = replace(inertial, pending=factor, prediction=prediction, note="", has_measured=True)
-    return replace(window, inertial=inertial)
+    measured = replace(
+        inertial, pending=factor, prediction=prediction, reason=None, has_measured=True
+    )
+    return replace(window, inertial=measured)
 
 
 def _stamps_of(window: Window, prev: Frame, frame: Frame) -> dict[int, int]:
@@ -244,19 +254,20 @@ def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Windo
     inertial = inertial.tested(innovation, is_gated=is_gated)
     # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:
-        note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
+        text = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
+        reason = ImuReason(ImuFault.GATED, text)
         pending = None
         if inertial.pending is not None and np.isfinite(squared):
             pending = _as_noisy_as(inertial.pending, difference)
-        inertial = replace(inertial, pending=pending, prediction=None, note=note)
+        inertial = replace(inertial, pending=pending, prediction=None, reason=reason)
     num_gated = sum(inertial.was_gated)
     if num_gated >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
-        note = (
-            f"is left out for good: it contradicted the images in {num_gated} of the last"
-            f" {len(inertial.innovations)} steps, by {inertial.excess:.1f} times their variances in"
-            " the median"
+        text = (
+            f"contradicted the images in {num_gated} of the last {len(inertial.innovations)} steps,"
+            f" by {inertial.excess:.1f} times their variances in the median"
         )
-        return without_imu(replace(window, inertial=inertial), note)
+        reason = ImuReason(ImuFault.GATED_OFTEN, text).for_good()
+        return without_imu(replace(window, inertial=inertial), reason)
     return replace(window, inertial=inertial)
 
 
@@ -285,17 +296,17 @@ def without_factor_if_worse(window: Window, motion: RelativePose) -> Window:
         variance = np.trace(inertial.prediction.cov[:3, :3])
         if variance < np.trace(motion.covariance[:3, :3]):
             return window
-    return replace(window, inertial=inertial.silent("does not know its velocity in this step"))
+    return replace(window, inertial=inertial.silent(UNKNOWN_VELOCITY))
 
 
-def without_imu(window: Window, note: str) -> Window:
+def without_imu(window: Window, reason: ImuReason) -> Window:
     """Return the window without its IMU, for good.
 
     Args:
         window: K frames with their covariance.
-        note: why, as the end of "the IMU …".
+        reason: why.
     """
-    return _without_states(window, window.inertial.excluded(note))
+    return _without_states(window, window.inertial.excluded(reason))
 
 
 def _without_states(window: Window, left_out: Inertial) -> Window:
