@@ -24,6 +24,7 @@ from recordings import ROOT
 
 import probevo as pv
 from probevo.arrays import FloatArray
+from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3, so3
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
@@ -98,13 +99,12 @@ def run(
             _, cov = window.relative(len(window) - 1, len(window) - 1 - SPAN)
             step = float(np.sqrt(np.trace(cov[:3, :3])))
         step_sigma_m.append(step)
-    inertial = odometry.window.inertial if odometry.window is not None else None
     return Run(
         T_world_cam=np.array(poses),
         sigma=np.array(sigma),
         step_sigma_m=np.array(step_sigma_m),
         num_ok=num_ok,
-        uses_imu=inertial is not None and inertial.is_used,
+        uses_imu=Inertial.of(odometry.window).is_used,
         said=list(said),
     )
 

@@ -26,8 +26,8 @@ from probevo.estimation.search_starts import rotated_starts, track_from_best_sta
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
-from probevo.estimation.window import inertial
 from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.live_motion import live_advance, live_motion
 from probevo.estimation.window.window import Window
 from probevo.measurements.base import Measurement, pose_of
@@ -434,7 +434,7 @@ class StereoOdometry:
             pose_cov=fusion.pose.cov.copy(),
             noise_factor=state.noise_scale.factor,
             sensors=outcomes,
-            imu_left_out=inertial.reason_unused_in_step(window),
+            imu_reason=Inertial.of(window).reason,
             stage_ms=clock.times_ms,
         )
         after = replace(
@@ -542,7 +542,7 @@ class StereoOdometry:
         measurements = list(measured.motion_measurements)
         # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
         # dead-reckoned motion, whose rotation is the gyro's.
-        if not inertial.has_measured(window) and solved.is_step_solved:
+        if not window.inertial.has_measured and solved.is_step_solved:
             measurements += measured.by_gyro
         return self._window_estimator.with_step(
             window,

@@ -24,14 +24,8 @@ from probevo.estimation.recovery import (
 )
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.sensor_fusion import SensorFusion
-from probevo.estimation.window.inertial import (
-    Inertial,
-    knows_next_motion,
-    may_bridge,
-    trusts_gyro,
-    uses_imu,
-    with_samples,
-)
+from probevo.estimation.window.inertial import Inertial
+from probevo.estimation.window.inertial_steps import with_samples
 from probevo.estimation.window.window import Window
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
@@ -120,7 +114,7 @@ class Prediction:
         """
         usable = self.state.last_usable
         window = self.state.window
-        if usable is None or (window is not None and may_bridge(window)):
+        if usable is None or Inertial.of(window).may_bridge:
             return None
         if window is not None and usable.state.frame.index not in window.frames:
             return None
@@ -302,15 +296,16 @@ class OdometryState:
             of_gyro: with the rotation of the gyro.
             window: the window, which may have tested the gyro.
         """
-        if uses_imu(window):
+        inertial = Inertial.of(window)
+        if inertial.is_used:
             # It has passed its tests, and would see a sudden turn.
             return replace(of_gyro, alternative=replace(of_velocity, sudden_turn_rad=0.0))
-        if trusts_gyro(window):
+        if inertial.trusts_gyro:
             # Nothing can test it. Where the velocity has been given up, since it contradicted solve
             # after solve, it may have been the gyro that was wrong.
             gives_up = self.motion_model.speed_is_unknown
             return replace(of_gyro, alternative=of_velocity if gives_up else None)
-        if window is not None and may_bridge(window):
+        if inertial.may_bridge:
             # It has not been tested yet.
             return replace(of_velocity, alternative=of_gyro)
         # It has failed a test.
@@ -344,7 +339,7 @@ def motion_for_window(
     # None if the motion was solved: a solved one is measured from where it starts.
     usable = prediction.state.last_usable_after(prediction.duration_s, motion)
     has_usable = usable is not None and usable.state.frame.index in window.frames
-    if usable is not None and has_usable and not knows_next_motion(window):
+    if usable is not None and has_usable and not window.inertial.predicts_next:
         path = usable.path
         return RelativePose(
             path.T_prev_usable, path.cov, curr=curr, prev=pose_of(usable.state.frame.index)

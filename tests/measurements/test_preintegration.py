@@ -9,8 +9,8 @@ import pytest
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import (
-    NO_ACCELEROMETER,
     NoPreintegration,
     Preintegration,
     preintegrate,
@@ -176,23 +176,28 @@ def test_samples_without_a_plausible_number_are_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "reason"),
+    ("rows", "fault", "text"),
     [
-        (slice(0, 0), "no samples"),
-        (slice(0, 1), "a single usable sample"),
-        (slice(0, 4), "4 usable samples between two frames, and none for 85 ms"),
-        (slice(0, 12), "no samples for 45 ms"),
-        (np.r_[0:6, 12:21], "no samples for 35 ms"),
+        (slice(0, 0), ImuFault.NO_SAMPLES, "no samples"),
+        (slice(0, 1), ImuFault.SINGLE_SAMPLE, "a single usable sample"),
+        (
+            slice(0, 4),
+            ImuFault.FEW_SAMPLES,
+            "4 usable samples between two frames, and none for 85 ms",
+        ),
+        (slice(0, 12), ImuFault.HOLE, "no samples for 45 ms"),
+        (np.r_[0:6, 12:21], ImuFault.HOLE, "no samples for 35 ms"),
     ],
 )
 def test_samples_that_do_not_cover_the_interval_give_a_reason(
-    rows: slice | FloatArray, reason: str
+    rows: slice | FloatArray, fault: ImuFault, text: str
 ) -> None:
     imu = samples(np.zeros(3), np.zeros(3))
     part = ImuSamples(imu.stamps_ns[rows], imu.gyro_rad_s[rows], imu.accel_m_s2[rows])
     found = preintegrate(part, START_NS, END_NS, CALIBRATION)
     assert isinstance(found, NoPreintegration)
-    assert reason in found.reason
+    assert found.reason.fault is fault
+    assert text in found.reason.text
 
 
 @pytest.mark.parametrize(
@@ -258,11 +263,11 @@ def test_packets_that_are_held_over_intervals_count_once() -> None:
     packets = ImuSamples(stamps_ns, np.zeros((6, 3)), np.zeros((6, 3)))
     found = preintegrate(packets, START_NS, END_NS, CALIBRATION)
     assert isinstance(found, NoPreintegration)
-    assert "usable samples" in found.reason
+    assert found.reason.fault is ImuFault.FEW_SAMPLES
 
 
 def test_no_accelerometer_is_a_reason() -> None:
     imu = samples(np.zeros(3), np.full(3, np.nan))
     found = preintegrate(imu, START_NS, END_NS, CALIBRATION)
     assert isinstance(found, NoPreintegration)
-    assert found.reason == NO_ACCELEROMETER
+    assert found.reason.fault is ImuFault.NO_ACCELEROMETER

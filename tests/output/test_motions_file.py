@@ -11,6 +11,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
+from probevo.measurements.imu_reason import ImuFault
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult, SensorUse
 
@@ -32,7 +33,8 @@ def test_a_run_comes_back_as_it_was(
         run = replace(
             run,
             other_camera="is wider",
-            imu_left_out="it contradicts the images",
+            imu_left_out="contradicts the images",
+            imu_fault=ImuFault.CONTRADICTION,
             imu_unused_from=7,
         )
         lying = SensorUse(4, 1, {"no fix": 2}, excluded=3, excluded_at=20, reason="is off by 5 σ")
@@ -154,6 +156,7 @@ def test_the_same_run_gives_the_same_bytes(
         ({"sensors": np.array("[]")}, "sensors does not say how sensors were used"),
         ({"sensors": np.array('{"gps": {"used": "x"}}')}, "sensors does not say how"),
         ({"stopped": np.array(["a"])}, "stopped is not text"),
+        ({"imu_fault": np.array("bad mood")}, "imu_fault is no kind of reason"),
     ],
 )
 def test_malformed_contents(

@@ -11,6 +11,7 @@ from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3
 from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
 from probevo.output.run_result import RunRecorder
 from probevo.output.run_warnings import (
@@ -176,37 +177,50 @@ def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:
     assert said.startswith("The IMU contradicts the images.")
 
 
-def _imu_said(reasons: list[str], first_used: int | None = None) -> str:
+@pytest.mark.parametrize("fault", ImuFault)
+def test_a_calibration_is_not_blamed_for_what_the_samples_are_like(fault: ImuFault) -> None:
+    said = imu_warning("is at fault", fault)
+    assert said is not None
+    assert ("calibrate-check" in said) == (not fault.is_of_samples)
+
+
+NO_SAMPLES = ImuReason(ImuFault.NO_SAMPLES, "has no samples")
+
+
+def _imu_said(reasons: list[ImuReason | None], first_used: int | None = None) -> str:
     """Return the warning of a run whose steps said why the IMU was not used, where they did; from
     one step on, it was in the window where they did not."""
     recorder = RunRecorder()
-    for frame, reason in enumerate(["", *reasons]):
+    for frame, reason in enumerate([None, *reasons]):
         motion = pv.MotionEstimate(
-            np.eye(4), np.eye(6), Status.OK if frame else Status.FIRST, 0, imu_left_out=reason
+            np.eye(4), np.eye(6), Status.OK if frame else Status.FIRST, 0, imu_reason=reason
         )
-        is_used = first_used is not None and frame >= first_used and not reason
+        is_used = first_used is not None and frame >= first_used and reason is None
         recorder.add(frame, motion, imu_is_in_window=is_used)
     return run_warnings(recorder.result()).get("IMU", "")
 
 
 def test_the_reason_of_most_steps_is_named() -> None:
     """Whatever the numbers in it, and whatever the last step said."""
-    wrong_clock = [f"contradicts the images: χ² is {k}.5 for 34 degrees" for k in range(20)]
-    wrong_clock[3] += " (noise densities at least 2.1 times as large would explain it)"
-    said = _imu_said(["", "", *wrong_clock, *["has no samples"] * 3])
-    assert said.startswith(f"The IMU {wrong_clock[-1]}. The path is by images alone.")
+    wrong_clock = [
+        ImuReason(ImuFault.CONTRADICTION, f"contradicts the images: χ² is {k}.5 for 34 degrees")
+        for k in range(20)
+    ]
+    said = _imu_said([None, None, *wrong_clock, *[NO_SAMPLES] * 3])
+    assert said.startswith(f"The IMU {wrong_clock[-1].text}. The path is by images alone.")
     assert "calibrate-check" in said
-    for_good = f"is left out for good: it {wrong_clock[-1]}"
-    assert _imu_said([*wrong_clock, "has no samples", for_good]).startswith(f"The IMU {for_good}")
+    for_good = wrong_clock[-1].for_good()
+    said = _imu_said([*wrong_clock, NO_SAMPLES, for_good])
+    assert said.startswith("The IMU is left out for good: it contradicts the images: χ² is 19.5")
 
 
 def test_an_imu_that_ends_is_said_to_be_unused_from_then_on() -> None:
-    gated = "contradicts the images in this step (χ² 30 of 6 degrees of freedom)"
-    reasons = ["", "", *[gated] * 5, "", *["has no samples"] * 3]
+    gated = ImuReason(ImuFault.GATED, "contradicts the images in this step")
+    reasons = [None, None, *[gated] * 5, None, *[NO_SAMPLES] * 3]
     said = _imu_said(reasons, first_used=3)
     assert said == "The IMU has no samples. From frame 9 on, the path is by images alone."
-    assert _imu_said([*reasons, ""], first_used=3) == ""
-    assert _imu_said([""] * 4) == ""
+    assert _imu_said([*reasons, None], first_used=3) == ""
+    assert _imu_said([None] * 4) == ""
 
 
 def test_images_of_other_frames_are_named_with_the_cure() -> None:

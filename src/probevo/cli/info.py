@@ -15,6 +15,7 @@ from probevo.run_config import ReadSettings, RunConfig
 
 if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
+    from probevo.measurements.imu_reason import ImuReason
     from probevo.sequences import Sequence
     from probevo.sequences.imu import ImuStream
 
@@ -87,7 +88,7 @@ def main(words: list[str]) -> None:
 
 def describe(sequence: Sequence) -> Rows:
     """Describe what the files say, without looking at the images."""
-    from probevo.measurements.preintegration import NO_ACCELEROMETER
+    from probevo.measurements.imu_reason import ImuFault
     from probevo.output.run_facts import (
         camera_text,
         frames_text,
@@ -121,10 +122,10 @@ def describe(sequence: Sequence) -> Rows:
         rows.append(("masks", mask_text(sequence)))
     config = RunConfig()
     reason = _reason_against_window(sequence)
-    if reason:
+    if reason is not None:
         # An IMU without an accelerometer is no fault, and nobody expects the window to use it.
-        if reason != NO_ACCELEROMETER:
-            text = f"it {reason}: the window does without it, and its path is by images alone"
+        if reason.fault is not ImuFault.NO_ACCELEROMETER:
+            text = f"it {reason.text}: the window does without it, and its path is by images alone"
             rows.append(("! IMU", text))
         config = RunConfig.model_validate({"window": {"imu": "off"}})
     rows.append(("use of IMU", imu_use_text(sequence, config)))
@@ -224,17 +225,17 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     return rows
 
 
-def _reason_against_window(sequence: Sequence) -> str:
-    """Return why the window can use the IMU in hardly any step; empty if it can, or without an
+def _reason_against_window(sequence: Sequence) -> ImuReason | None:
+    """Return why the window can use the IMU in hardly any step; None if it can, or without an
     IMU."""
     from probevo.measurements.preintegration import NoPreintegration, preintegrate
     from probevo.sequences.formats.tracks_file import TracksRecording
     from probevo.sequences.recording import ImageRecording
 
     if not isinstance(sequence, ImageRecording | TracksRecording):
-        return ""
+        return None
     if sequence.imu is None or sequence.imu_stream is None:
-        return ""
+        return None
     reasons = []
     covered = 0
     for start_ns, end_ns in islice(pairwise(sequence.stamps_ns.tolist()), STEPS_FOR_IMU):
@@ -245,7 +246,7 @@ def _reason_against_window(sequence: Sequence) -> str:
         found = preintegrate(samples, start_ns, end_ns, sequence.imu)
         if isinstance(found, NoPreintegration):
             reasons.append(found.reason)
-    return reasons[0] if 2 * len(reasons) > covered else ""
+    return reasons[0] if 2 * len(reasons) > covered else None
 
 
 def _noise_text(sequence: Sequence) -> str:

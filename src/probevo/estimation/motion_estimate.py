@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.measurements.imu_reason import ImuReason
 
 COMMON_MODE_COLUMNS = 10
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
@@ -92,11 +93,16 @@ class MotionEstimate:
     """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
     missing: tuple[str, ...] = ()
     """What the frame lacked, in words: samples that could not be used."""
-    imu_left_out: str = ""
-    """Why the window does not use its IMU in this step, a phrase that continues "the IMU …"; empty
-    if it does, or if there is no IMU."""
+    imu_reason: ImuReason | None = None
+    """Why the window does not use its IMU in this step; None if it does, or if there is no IMU."""
     sensors: tuple[SensorOutcome, ...] = ()
     """The outcome of each further sensor."""
+
+    @property
+    def imu_left_out(self) -> str:
+        """The text of ``imu_reason``, a phrase that continues "the IMU …"; empty if there is
+        none."""
+        return "" if self.imu_reason is None else self.imu_reason.text
 
     def __repr__(self) -> str:
         """Return status, distance, angle, and the largest standard deviations, in one line."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration_numba import (
     MeanSamples,
     PreintegrationSums,
@@ -69,16 +70,12 @@ class Preintegration:
     """Position of the IMU in the camera's frame, [3], m."""
 
 
-NO_ACCELEROMETER = "has no accelerometer"
-"""Reason of an interval of which only the gyro has samples."""
-
-
 @dataclass(frozen=True)
 class NoPreintegration:
     """An interval without a preintegration."""
 
-    reason: str
-    """Why there is none, a phrase that continues "the IMU …"."""
+    reason: ImuReason
+    """Why there is none."""
 
 
 def preintegrate(
@@ -105,16 +102,17 @@ def preintegrate(
     """
     # Refuse an interval that the usable samples do not cover.
     if imu is None or not len(imu.stamps_ns):
-        return NoPreintegration("has no samples")
+        return NoPreintegration(ImuReason(ImuFault.NO_SAMPLES, "has no samples"))
     if end_ns <= start_ns:
-        return NoPreintegration("has samples of an interval of no length")
+        text = "has samples of an interval of no length"
+        return NoPreintegration(ImuReason(ImuFault.EMPTY_INTERVAL, text))
     if not np.isfinite(imu.accel_m_s2).any():
-        return NoPreintegration(NO_ACCELEROMETER)
+        return NoPreintegration(ImuReason(ImuFault.NO_ACCELEROMETER, "has no accelerometer"))
     is_usable = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
     is_usable &= are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
     stamps_ns = imu.stamps_ns[is_usable]
     reason = _reason_against(stamps_ns, start_ns, end_ns)
-    if reason:
+    if reason is not None:
         return NoPreintegration(reason)
     # Sub-intervals between knots: start, samples inside, end.
     is_inside = (stamps_ns > start_ns) & (stamps_ns < end_ns)
@@ -141,7 +139,8 @@ def preintegrate(
         sums,
     )
     if not all(np.isfinite(part).all() for part in sums):
-        return NoPreintegration("has rates or forces whose integral is not finite")
+        text = "has rates or forces whose integral is not finite"
+        return NoPreintegration(ImuReason(ImuFault.INTEGRAL_NOT_FINITE, text))
     return Preintegration(
         duration_s=1e-9 * (end_ns - start_ns),
         rotation=sums.rotation,
@@ -154,8 +153,8 @@ def preintegrate(
     )
 
 
-def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
-    """Return why samples with these stamps do not cover an interval; nothing if they do."""
+def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReason | None:
+    """Return why samples with these stamps do not cover an interval; None if they do."""
     # From the last sample at or before the start to the first one at or after the end.
     first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
     covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]
@@ -164,9 +163,9 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     apart_ns = between_ns[np.abs(between_ns) > HELD_NS]
     num_samples = len(apart_ns) + min(len(covering), 1)
     if num_samples == 0:
-        return "has no usable sample between two frames"
+        return ImuReason(ImuFault.NO_USABLE_SAMPLE, "has no usable sample between two frames")
     if num_samples == 1:
-        return "has a single usable sample between two frames"
+        return ImuReason(ImuFault.SINGLE_SAMPLE, "has a single usable sample between two frames")
     # The longest time without a sample, at either end of the interval as well.
     hole_ns = max(
         float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])
@@ -174,16 +173,18 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     # The ends of the interval count as samples' stamps where no sample reaches them.
     covered_ns = max(int(covering[-1]), end_ns) - min(int(covering[0]), start_ns)
     if num_samples < FEWEST_SAMPLES and covered_ns > CLOSE_NS * (num_samples - 1):
-        return (
+        text = (
             f"has {num_samples} usable samples between two frames, and none for"
             f" {1e-6 * hole_ns:.0f} ms, where the window needs {FEWEST_SAMPLES}, or one in each"
             f" {1e-6 * CLOSE_NS:.0f} ms in the mean"
         )
+        return ImuReason(ImuFault.FEW_SAMPLES, text)
     if between_ns.min() <= 0:
-        return "has samples whose stamps do not ascend"
+        text = "has samples whose stamps do not ascend"
+        return ImuReason(ImuFault.STAMPS_NOT_ASCENDING, text)
     if hole_ns > LONGEST_HOLE * float(np.median(apart_ns)):
-        return f"has no samples for {1e-6 * hole_ns:.0f} ms"
-    return ""
+        return ImuReason(ImuFault.HOLE, f"has no samples for {1e-6 * hole_ns:.0f} ms")
+    return None
 
 
 def _means(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> FloatArray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
+
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 
 
 class ImuUse:
@@ -12,30 +13,29 @@ class ImuUse:
     def __init__(self) -> None:
         self._last_used: int | None = None
         self._is_left_out = False
-        self._counts: Counter[str] = Counter()
-        """Steps since the IMU was last used, by the kind of their reason."""
-        self._reasons: dict[str, str] = {}
-        """Last reason of each kind."""
+        self._counts: Counter[ImuFault] = Counter()
+        """Steps since the IMU was last used, by what was wrong in them."""
+        self._reasons: dict[ImuFault, ImuReason] = {}
+        """Last reason of each fault."""
 
-    def add(self, frame: int, reason: str, *, is_in_window: bool) -> None:
+    def add(self, frame: int, reason: ImuReason | None, *, is_in_window: bool) -> None:
         """Record a step.
 
         Args:
             frame: index of its frame.
-            reason: why the IMU was not used in it (``MotionEstimate.imu_left_out``).
+            reason: why the IMU was not used in it (``MotionEstimate.imu_reason``).
             is_in_window: whether the poses of the window depend on the IMU.
         """
-        self._is_left_out = bool(reason) and not is_in_window
-        if reason:
-            kind = kind_of(reason)
-            self._counts[kind] += 1
-            self._reasons[kind] = reason
+        self._is_left_out = reason is not None and not is_in_window
+        if reason is not None:
+            self._counts[reason.fault] += 1
+            self._reasons[reason.fault] = reason
         elif is_in_window:
             self._last_used = frame
             self._counts.clear()
 
     @property
-    def left_out(self) -> str | None:
+    def left_out(self) -> ImuReason | None:
         """Most frequent reason since the IMU was last used; None if it was used to the end, or
         there is none."""
         if not self._is_left_out:
@@ -49,10 +49,3 @@ class ImuUse:
         if not self._is_left_out or self._last_used is None:
             return None
         return self._last_used + 1
-
-
-def kind_of(reason: str) -> str:
-    """Return a reason without its numbers, and without what is added to it: its brackets, and
-    that it counts for good."""
-    text = reason.removeprefix("is left out for good: it ").split(" (")[0]
-    return re.sub(r"[0-9][0-9.]*", "#", text)

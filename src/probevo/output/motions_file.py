@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.files import write_atomically
 from probevo.storage.npz import NO_NPZ, read_npz
@@ -75,6 +77,14 @@ def _scale(array: AnyArray) -> AccelerometerScale:
     return AccelerometerScale(ratio, sigma, int(count))
 
 
+def _fault(text: AnyArray) -> ImuFault:
+    """Return what is wrong with an IMU; a ValueError if it is nothing that is known."""
+    try:
+        return ImuFault(str(text))
+    except ValueError as error:
+        raise ValueError("is no kind of reason against an IMU that is known") from error
+
+
 def _factors(array: AnyArray) -> FloatArray:
     """Return factors of variances; a ValueError if one is not positive."""
     if (array <= 0.0).any():
@@ -94,6 +104,7 @@ _OPTIONAL = {
     "right_late_frames": _Optional((), int),
     "other_camera": _Optional(None, str),
     "imu_left_out": _Optional(None, str),
+    "imu_fault": _Optional(None, _fault, attrgetter("value")),
     "imu_unused_from": _Optional((), int),
     "imu_noise_factor": _Optional((), float),
     "accelerometer_scale": _Optional((3,), _scale, astuple),

@@ -25,6 +25,7 @@ from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
 
@@ -145,6 +146,8 @@ class RunResult:
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run, the most frequent reason since it
     was last used; None if it did, or there was none."""
+    imu_fault: ImuFault | None = None
+    """What kind of reason that is; None also in files of versions that did not store it."""
     imu_unused_from: int | None = None
     """Index of the frame from which on the window did not use the IMU any more; None if it did at
     the end, or never."""
@@ -338,7 +341,8 @@ class RunRecorder:
             motion: its estimate; of the first frame, only its existence counts.
             total_ms: wall time of the step; the sum of its stages by default.
             rejected: points rejected at this step, by the check's name.
-            imu_is_in_window: whether the poses of the window depend on an IMU (``uses_imu``).
+            imu_is_in_window: whether the poses of the window depend on an IMU
+                (``Inertial.is_used``).
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
         self._numbers.add(
@@ -373,8 +377,8 @@ class RunRecorder:
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
-        self._imu.add(len(self._counts) - 1, motion.imu_left_out, is_in_window=imu_is_in_window)
-        if motion.imu_left_out:
+        self._imu.add(len(self._counts) - 1, motion.imu_reason, is_in_window=imu_is_in_window)
+        if motion.imu_reason is not None:
             self._unusable["steps_without_imu"] += 1
         for text in motion.missing:
             # "3 of 20 IMU samples without …" becomes imu_samples_without_…
@@ -398,6 +402,7 @@ class RunRecorder:
         _, status, num_tracks, num_inliers, num_used, outside = counts[1:].T.copy()
         numbers = self._numbers.table()[1:num_frames]
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
+        left_out = self._imu.left_out
         return RunResult(
             stamps_ns=stamps_ns,
             T_world_cam=self._path(T_curr_prev)[: len(counts)],
@@ -418,7 +423,8 @@ class RunRecorder:
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
             sensors=dict(self._sensors),
-            imu_left_out=self._imu.left_out,
+            imu_left_out=None if left_out is None else left_out.text,
+            imu_fault=None if left_out is None else left_out.fault,
             imu_unused_from=self._imu.unused_from,
             noise_factor=numbers[:, -2].copy(),
             num_used=num_used,

@@ -11,6 +11,7 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
@@ -54,7 +55,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
-        "IMU": imu_warning(result.imu_left_out, result.imu_unused_from),
+        "IMU": imu_warning(result.imu_left_out, result.imu_fault, result.imu_unused_from),
         "Truth": truth_warning(result.T_curr_prev, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -118,14 +119,21 @@ def camera_warning(difference: str | None) -> str | None:
     )
 
 
-def imu_warning(reason: str | None, unused_from: int | None = None) -> str | None:
-    """Warn if the window left out the IMU at the end of the run, for a reason, or from a frame on;
-    else None."""
+def imu_warning(
+    reason: str | None, fault: ImuFault | None = None, unused_from: int | None = None
+) -> str | None:
+    """Warn if the window left out the IMU at the end of the run; else None.
+
+    Args:
+        reason: why, a phrase that continues "the IMU …".
+        fault: what kind of reason it is, if that is known.
+        unused_from: index of the frame from which on it was left out; None if it was never used.
+    """
     if not reason:
         return None
     since = "The" if unused_from is None else f"From frame {unused_from} on, the"
     text = f"The IMU {reason}. {since} path is by images alone."
-    if reason.startswith("has "):  # what its samples are like, which no calibration mends
+    if fault is not None and fault.is_of_samples:
         return text
     return (
         f"{text} `probevo calibrate-check SEQUENCE` says whether its unit, mounting or clock is"

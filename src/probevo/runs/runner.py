@@ -17,7 +17,7 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window.inertial import noise_factor_of, uses_imu
+from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
@@ -255,7 +255,7 @@ class _Records:
             motion,
             total_ms=total_ms,
             rejected=odometry.tracks.rejected,
-            imu_is_in_window=uses_imu(odometry.window),
+            imu_is_in_window=Inertial.of(odometry.window).is_used,
         )
 
     def result(self, sequence: Sequence, odometry: StereoOdometry) -> RunResult:
@@ -278,7 +278,7 @@ class _Records:
             smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
-            imu_noise_factor=noise_factor_of(odometry.window),
+            imu_noise_factor=Inertial.of(odometry.window).noise_factor_in_use,
         )
 
 

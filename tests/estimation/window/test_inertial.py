@@ -13,30 +13,25 @@ from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.estimator import WindowEstimator
-from probevo.estimation.window.inertial import (
-    ImuStatus,
-    Inertial,
-    may_bridge,
-    trusts_gyro,
-    uses_imu,
-    with_samples,
-    with_states_if_consistent,
-)
+from probevo.estimation.window.inertial import ImuStatus, Inertial
+from probevo.estimation.window.inertial_equations import linearized, walk_variances
+from probevo.estimation.window.inertial_prediction import predicted
 from probevo.estimation.window.inertial_start import InertialFit
 from probevo.estimation.window.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
-from probevo.estimation.window.inertial_states import (
-    STATE,
-    InertialStates,
-    inertial_system,
-    linearized,
-    moved,
-    predicted,
+from probevo.estimation.window.inertial_states import STATE, InertialStates, moved
+from probevo.estimation.window.inertial_steps import (
+    NO_SOLUTION,
+    UNTESTABLE,
+    system_of,
+    with_samples,
+    with_states_if_consistent,
 )
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import Preintegration
 from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
@@ -66,13 +61,11 @@ def drive_of(seed: int, frames: int, *, swing: float = 1.0) -> tuple[list[Frame]
 
 
 def states_of(window: Window) -> InertialStates:
-    assert window.inertial is not None
     assert window.inertial.states is not None
     return window.inertial.states
 
 
 def factors_of(window: Window) -> list[Preintegration]:
-    assert window.inertial is not None
     return [factor for factor in window.inertial.factors if factor is not None]
 
 
@@ -161,13 +154,16 @@ def test_no_information_arises_about_yaw_and_place(run: Run) -> None:
         coupling=np.zeros_like(states.coupling),
         information=np.zeros_like(states.information),
     )
-    assert window.inertial is not None
-    intervals = window.inertial.intervals(window.frames)
     # Linearisation points differ from the values: the gauge must hold none the less.
     rng = np.random.default_rng(71)
     xi = 1e-3 * rng.normal(size=(len(window), POSE))
-    elsewhere = replace(window, T_cam_world=se3.exp(xi) @ window.T_cam_world)
-    system = inertial_system(elsewhere, without_prior, intervals)
+    elsewhere = replace(
+        window,
+        T_cam_world=se3.exp(xi) @ window.T_cam_world,
+        inertial=replace(window.inertial, states=without_prior),
+    )
+    system = system_of(elsewhere)
+    assert system is not None
     directions = _gauge(elsewhere, without_prior)
     random = rng.normal(size=(len(system.hessian), 20))
     along_random = np.einsum("in,ij,jn->n", random, system.hessian, random)
@@ -204,11 +200,10 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
     guess[2, 3] = -0.8
     for prev, curr in pairwise(frames):
         sampled = with_samples(window, prev, curr)
-        assert sampled is not None
         tracks = tracks_between(prev, curr)
         predicted_noise = noise.predict(np.zeros((len(tracks), 0)))
         motion = guess
-        if sampled.inertial is not None and sampled.inertial.prediction is not None:
+        if sampled.inertial.prediction is not None:
             motion = sampled.inertial.prediction.T_curr_prev
         window = by.with_frame(sampled, curr.index, motion, tracks, predicted_noise)
         window = with_states_if_consistent(adjusted_without_gauge(by, window))
@@ -216,10 +211,10 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
             window = by.without_oldest(window)
     assert window.frames[0] >= 60
     states = states_of(window)
-    assert window.inertial is not None
-    intervals = window.inertial.intervals(window.frames)
-    joint = inertial_system(window, states, intervals).hessian.copy()
-    of_images = by._system(replace(window, inertial=None)).equations.hessian
+    system = system_of(window)
+    assert system is not None
+    joint = system.hessian.copy()
+    of_images = by._system(replace(window, inertial=Inertial.none())).equations.hessian
     joint[: len(of_images), : len(of_images)] += of_images
     # In units in which each variable has the same information: they differ by 1e9 otherwise.
     unit = np.sqrt(np.diagonal(joint))
@@ -268,7 +263,7 @@ def test_a_prediction_and_its_covariance_are_those_of_the_images(run: Run) -> No
         by = odometry()
         for k, frame in enumerate(frames):
             window = by.window
-            if window is not None and window.inertial is not None and window.inertial.is_used:
+            if window is not None and window.inertial.is_used:
                 states = states_of(window)
                 factor = _factor_after(window, frames[k - 1], frame)
                 motion = predicted(window, states, factor)
@@ -282,8 +277,6 @@ def test_a_prediction_and_its_covariance_are_those_of_the_images(run: Run) -> No
 
 def _factor_after(window: Window, prev: Frame, frame: Frame) -> Preintegration:
     sampled = with_samples(window, prev, frame)
-    assert sampled is not None
-    assert sampled.inertial is not None
     assert sampled.inertial.pending is not None
     return sampled.inertial.pending
 
@@ -311,8 +304,8 @@ def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
 
 
 def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
-    """After 1.2 s without images, 10 m, the error is within 3σ and 1 % of the way; σ of the motion
-    over four frames grows meanwhile, and is then as before."""
+    """After 1.2 s without images, 10 m, the error is within 3σ and 1 % of the distance; σ of the
+    motion over four frames grows meanwhile, and is then as before."""
     frames, truth = drive_of(30, 40)
     by = odometry()
     estimates = []
@@ -329,8 +322,8 @@ def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
     sigma = [np.sqrt(np.trace(estimate.pose_cov[:3, :3])) for estimate in estimates]
     assert (np.diff(sigma[17:30]) > 0.0).all()
     start = truth[17] @ se3.inverse(estimates[17].T_world_cam)
-    way = start @ dark[-1].T_world_cam
-    error_m = np.linalg.norm((se3.inverse(truth[29]) @ way)[:3, 3])
+    aligned = start @ dark[-1].T_world_cam
+    error_m = np.linalg.norm((se3.inverse(truth[29]) @ aligned)[:3, 3])
     length_m = np.linalg.norm(truth[29, :3, 3] - truth[17, :3, 3])
     error = se3.log(se3.inverse(dark[-1].T_world_cam) @ truth[29])
     assert error_m < 0.01 * length_m
@@ -403,7 +396,7 @@ def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
         by = odometry(frames=frames)
         for frame in seen:
             estimate = by.step(frame)
-            assert uses_imu(by.window) == (frame.index >= frames)
+            assert Inertial.of(by.window).is_used == (frame.index >= frames)
         error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
         squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
@@ -418,7 +411,7 @@ def test_a_window_that_is_too_short_for_the_test_says_so() -> None:
     estimates = [by.step(frame) for frame in frames]
     assert "fewer than 3 window.frames" in estimates[-1].imu_left_out
     assert estimates[10].status is Status.RECOVERED
-    assert not uses_imu(by.window)
+    assert not Inertial.of(by.window).is_used
 
 
 def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
@@ -434,7 +427,7 @@ def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
                 in_hole = np.abs(np.arange(len(frame.imu.stamps_ns)) - 10) < 3
                 changed = with_samples_at(frame, ~in_hole)
             estimate = by.step(changed)
-        assert uses_imu(by.window)
+        assert Inertial.of(by.window).is_used
         error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
         squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
@@ -467,7 +460,7 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change, window_f
     estimates = []
     for frame in wrong:
         estimates.append(by.step(frame))
-        assert not uses_imu(by.window)
+        assert not Inertial.of(by.window).is_used
     assert "check the" in estimates[-1].imu_left_out
 
 
@@ -476,10 +469,14 @@ def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
     fit = InertialFit(
         states_of(run[2]), squared=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
     )
-    assert "noise densities at least 2.5 times as large" in fit.reason_against(4.0)
-    assert not fit.reason_against(7.0)
-    wrong = replace(fit, squared=1e6)
-    assert "noise densities" not in wrong.reason_against(4.0)
+    noisy = fit.reason_against(4.0)
+    assert noisy is not None
+    assert "noise densities at least 2.5 times as large" in noisy.text
+    assert fit.reason_against(7.0) is None
+    wrong = replace(fit, squared=1e6).reason_against(4.0)
+    assert wrong is not None
+    assert wrong.fault is noisy.fault is ImuFault.CONTRADICTION
+    assert "noise densities" not in wrong.text
 
 
 def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
@@ -500,7 +497,6 @@ def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
         if frame.index == 43:
             assert estimate.status is Status.RECOVERED
     assert by.window is not None
-    assert by.window.inertial is not None
     assert by.window.inertial.is_excluded
 
 
@@ -551,8 +547,6 @@ def test_behind_samples_that_are_never_preintegrated_landmarks_are_found_again(
         sigma_m = np.sqrt(estimate.pose_cov[:3, :3].trace())
         assert sigma_m == pytest.approx(np.sqrt(expected.pose_cov[:3, :3].trace()), rel=0.1)
     np.testing.assert_allclose(estimate.T_world_cam, expected.T_world_cam, atol=2e-3)
-    assert by.window is not None
-    assert by.window.inertial is not None
 
 
 def test_factors_between_frames_that_stay_remain_when_blind_ones_leave() -> None:
@@ -566,10 +560,9 @@ def test_factors_between_frames_that_stay_remain_when_blind_ones_leave() -> None
     known = replace(window.prior, information=np.eye(len(window.prior.vector)))
     leaving = np.arange(len(window)) == 3
     kept = without_blind(replace(window, prior=known), leaving)
-    assert kept.inertial is not None
     assert kept.inertial.factors == (*factors[:2], None, *factors[4:])
     # Meanwhile the biases walk on, for two steps.
-    walks = kept.inertial.intervals(kept.frames).walk_variances
+    walks = walk_variances(CALIBRATION, kept.inertial.durations_s(kept.frames))
     step = CALIBRATION.gyro_bias_walk_rad_s2_sqrt_hz**2 * 1e-9 * FRAME_NS
     np.testing.assert_allclose(walks[:, 0], step * np.array([1, 1, 2, 1, 1, 1]), rtol=1e-9)
 
@@ -606,7 +599,7 @@ def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
     ]
     by = odometry()
     estimates = [by.step(frame) for frame in gyro_only]
-    assert trusts_gyro(by.window)
+    assert Inertial.of(by.window).trusts_gyro
     assert not any(estimate.imu_left_out for estimate in estimates)
 
 
@@ -620,9 +613,7 @@ def test_an_accelerometer_that_starts_late_is_used() -> None:
     by = odometry()
     estimates = [by.step(frame) for frame in frames]
     assert not estimates[1].imu_left_out
-    assert by.window is not None
-    assert by.window.inertial is not None
-    assert by.window.inertial.is_used
+    assert Inertial.of(by.window).is_used
 
 
 def test_samples_that_end_are_said_for_as_long_as_they_are_missed() -> None:
@@ -651,7 +642,6 @@ def test_what_the_test_at_the_start_shows_of_the_noise_counts_for_the_factors_it
     before = factors_of(by.window)
     by.step(frames[5])
     used = by.window.inertial
-    assert used is not None
     assert used.is_used
     assert used.noise_factor > 1.1
     for factor, tested in zip(before, factors_of(by.window), strict=False):
@@ -677,7 +667,7 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
         windows.append(by.window)
     lied = []
     for k, window in enumerate(windows):
-        if window is not None and window.inertial is not None and window.inertial.is_excluded:
+        if Inertial.of(window).is_excluded:
             lied.append(k)
     assert by.window is not None
     before = windows[lied[0] - 1]
@@ -689,8 +679,8 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
         error = se3.log(estimates[k].T_curr_prev @ se3.inverse(motion))
         assert error @ np.linalg.solve(estimates[k].cov, error) < 30.0
     sigma_m = np.sqrt(np.trace(estimates[-1].pose_cov[:3, :3]))
-    way = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
-    assert np.linalg.norm(way[:3, 3]) < 3.0 * sigma_m
+    off = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
+    assert np.linalg.norm(off[:3, 3]) < 3.0 * sigma_m
 
 
 def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known() -> None:
@@ -713,24 +703,23 @@ def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known
 def test_the_status_says_who_bridges_and_whom_the_gyro_may_predict_for(run: Run) -> None:
     """An IMU that may yet be used bridges; one whose samples can be tested has to pass first."""
     used = run[2].inertial
-    assert used is not None
     factor = factors_of(run[2])[-1]
     none = (None,) * len(used.factors)
     untested = replace(used, states=None, pending=None)
     expected = {
+        ImuStatus.ABSENT: (Inertial.none(), False, True),
         ImuStatus.USED: (used, True, True),
         ImuStatus.TESTING: (replace(untested, factors=none, pending=factor), True, False),
         ImuStatus.WAITING: (untested, True, False),
         ImuStatus.UNUSABLE: (replace(untested, factors=none), False, True),
-        ImuStatus.EXCLUDED: (used.without_states("", is_excluded=True), False, False),
+        ImuStatus.EXCLUDED: (used.excluded(NO_SOLUTION), False, False),
     }
     assert set(expected) == set(ImuStatus)
     for status, (imu, bridges, predicts) in expected.items():
-        window = replace(run[2], inertial=imu)
         assert imu.status is status
-        assert uses_imu(window) == (status is ImuStatus.USED)
-        assert may_bridge(window) == bridges
-        assert trusts_gyro(window) == predicts
+        assert imu.is_used == (status is ImuStatus.USED)
+        assert imu.may_bridge == bridges
+        assert imu.trusts_gyro == predicts
 
 
 def test_an_imu_that_cannot_be_tested_waits() -> None:
@@ -741,13 +730,11 @@ def test_an_imu_that_cannot_be_tested_waits() -> None:
         by.step(frame)
     window = by.window
     assert window is not None
-    assert window.inertial is not None
-    untested = replace(window, inertial=window.inertial.without_states("", is_excluded=False))
-    assert uses_imu(with_states_if_consistent(untested))
+    untested = replace(window, inertial=window.inertial.restarted())
+    assert with_states_if_consistent(untested).inertial.is_used
     broken = with_states_if_consistent(replace(untested, cov=-untested.cov))
-    assert not uses_imu(broken)
-    assert broken.inertial is not None
-    assert "cannot be tested" in broken.inertial.note
+    assert not broken.inertial.is_used
+    assert broken.inertial.reason is UNTESTABLE
     assert not broken.inertial.is_excluded
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from inertial_worlds import CALIBRATION, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
-from probevo.estimation.window.inertial import noise_factor_of
+from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_noise import (
     MEDIAN_SQUARED,
     Innovation,
@@ -96,7 +96,7 @@ def test_window_finds_that_the_samples_are_noisier_than_their_data_sheet() -> No
         odometry = StereoOdometry(CAMERA, noise, told, config)
         for frame in frames:
             odometry.step(frame)
-        factor = noise_factor_of(odometry.window)
+        factor = Inertial.of(odometry.window).noise_factor_in_use
         assert factor is not None
         factors.append(factor)
     assert 9.0 / 1.6 < np.median(factors) < 9.0 * 1.6

@@ -37,7 +37,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.self_calibration import CalibratedMotion
-from probevo.estimation.window import inertial
+from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.equations import (
     FRAME,
     JITTER,
@@ -53,7 +53,8 @@ from probevo.estimation.window.equations import (
     WindowObservations,
 )
 from probevo.estimation.window.further_measurements import tested_against, with_measurements
-from probevo.estimation.window.inertial_states import InertialSystem
+from probevo.estimation.window.inertial import Inertial
+from probevo.estimation.window.inertial_equations import InertialSystem
 from probevo.estimation.window.jitter_elimination import (
     JitterElimination,
     eliminate_jitter,
@@ -175,7 +176,7 @@ class WindowEstimator:
         if rig is not None:
             tracks = tracks.corrected_for_window(rig, self._camera)
         after = self.with_features(
-            inertial.with_inflated_factor_if_refuted(window, motion),
+            inertial_steps.with_inflated_factor_if_refuted(window, motion),
             frame,
             tracks,
             noise,
@@ -267,39 +268,39 @@ class WindowEstimator:
         """
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
-        window = inertial.without_factor_if_worse(window, motion)
+        window = inertial_steps.without_factor_if_worse(window, motion)
         # The motion by dead reckoning or IMU alone, before the sensors.
-        reckoned = _bounded(inertial.predicted_motion(window, frame) or motion)
+        reckoned = _bounded(inertial_steps.predicted_motion(window, frame) or motion)
         measurements, guess = tested_against(reckoned, measurements, window)
         prev = window.slot(reckoned.variables[0].frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         # A corrected motion is one of the measurements already, and must not count twice.
         if all(one is not motion for one in given):
-            if inertial.bridges_newest(extended):
+            if extended.inertial.bridges_newest:
                 measurements = [*measurements, *in_motion]
             else:
                 measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
             adjusted = self.adjusted(measured)
-            if np.isfinite(adjusted.cov).all() or not inertial.uses_imu(window):
+            if np.isfinite(adjusted.cov).all() or not window.inertial.is_used:
                 return self._shortened(adjusted)
         except np.linalg.LinAlgError:
-            if not inertial.uses_imu(window):
+            if not window.inertial.is_used:
                 raise
         # It may be the IMU's own states that nothing fixes: once more without them.
-        left_out = inertial.without_inertial(window, inertial.NO_SOLUTION)
+        left_out = inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
         return self.without_features(left_out, frame, motion, given, in_motion=in_motion)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
-        started = inertial.with_states_if_consistent(window, self._most_frames)
-        if not inertial.uses_imu(started) or inertial.uses_imu(window):
+        started = inertial_steps.with_states_if_consistent(window, self._most_frames)
+        if not started.inertial.is_used or window.inertial.is_used:
             return started
         try:
             return self.adjusted(started)
         except np.linalg.LinAlgError:
-            return inertial.without_inertial(window, inertial.NO_SOLUTION)
+            return inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
 
     @property
     def _most_frames(self) -> int:
@@ -331,9 +332,9 @@ class WindowEstimator:
         there. With an IMU that is used, they are frames like others.
         """
         window = replace(window, marginalized=())
-        window = inertial.without_imu_if_untestable(window, self._most_frames)
+        window = inertial_steps.without_imu_if_untestable(window, self._most_frames)
         limit = self._config.frames
-        if not inertial.uses_imu(window):
+        if not window.inertial.is_used:
             leaving = window.is_blind.copy()
             leaving[-2:] = False  # the last step leads from one to the other
             if window.is_blind[-1]:
@@ -424,7 +425,8 @@ class WindowEstimator:
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
         return replace(
-            inertial.with_new_frame(window),
+            window,
+            inertial=window.inertial.with_new_frame(),
             frames=np.append(window.frames, frame),
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
@@ -476,7 +478,7 @@ class WindowEstimator:
                 candidate = system.window
         # The covariance is that of the last equations formed, at most that small increment before.
         cov = self._covariance(system.equations.hessian)
-        of_imu = inertial.with_state_covariance(candidate, system.inertial, cov)
+        of_imu = candidate.inertial.with_covariance(system.inertial, cov)
         return replace(candidate, cov=cov, inertial=of_imu)
 
     def without_oldest(self, window: Window) -> Window:
@@ -508,7 +510,7 @@ class WindowEstimator:
                 observations=selected(observations, is_old[rows]),
                 landmarks=_selected_landmarks(window.landmarks, is_old),
                 jitter_cov=groups * window.jitter_cov,
-                inertial=None,
+                inertial=Inertial.none(),
             )
         )
         # At the offsets x, gradient = η − Λ x of the new prior, so that η = gradient + Λ x. The
@@ -517,15 +519,14 @@ class WindowEstimator:
         vector = system.equations.gradient + information @ window.offsets()
         # With inertial states, pose, velocity and biases of the frame are marginalised in one
         # block: the IMU's factor correlates them.
-        of_imu = window.inertial
         is_first = np.arange(len(window)) == 0
-        marginalised = inertial.marginalize_first_frame(window, system.equations)
-        if marginalised is not None:
-            prior, of_imu = marginalised
-        else:
+        remaining = window.without_frames(is_first)
+        marginalised = inertial_steps.marginalize_first_frame(window, system.equations)
+        if marginalised is None:
             prior = without_poses(MarginalPrior(information, vector), is_first)
-            if of_imu is not None:
-                of_imu = replace(of_imu, factors=of_imu.factors[1:])
+        else:
+            prior, states = marginalised
+            remaining = replace(remaining, inertial=replace(remaining.inertial, states=states))
         # The landmarks that begin anew are those of their last observation by itself.
         state = window.landmarks.state.copy()
         last_px = observations.pixels[observations.start[1:] - 1]
@@ -533,12 +534,11 @@ class WindowEstimator:
         stays = ~is_old | is_alive
         kept = selected(observations, ~is_old[rows] | begins_anew)
         return replace(
-            window.without_frames(is_first),
+            remaining,
             prior=kept_positive(prior),
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
             observations=kept._replace(slot=kept.slot - 1),
-            inertial=of_imu,
         )
 
     def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:
@@ -605,7 +605,7 @@ class WindowEstimator:
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
         hessian = reduced.hessian + window.prior.information
         gradient = reduced.gradient + towards_prior
-        of_imu = inertial.system_of(window)
+        of_imu = inertial_steps.system_of(window)
         if of_imu is not None:  # its velocities, biases and gravity are eliminated, too
             imu_hessian, imu_gradient = of_imu.reduced()
             cost += of_imu.cost
@@ -704,7 +704,7 @@ class WindowEstimator:
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
             rig=window.rig + increment[-RIG:],
             jitter=window.jitter + of_jitters.reshape(-1, JITTER),
-            inertial=inertial.after_increment(window, system.inertial, increment),
+            inertial=window.inertial.after_increment(system.inertial, increment),
             landmarks=window.landmarks._replace(state=state),
         )
 

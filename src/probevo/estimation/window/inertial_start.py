@@ -15,14 +15,10 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE, RIG
-from probevo.estimation.window.inertial_states import (
-    STATE,
-    InertialStates,
-    at_start,
-    inverse_of,
-    linearized,
-)
+from probevo.estimation.window.inertial_equations import inverse_of, linearized
+from probevo.estimation.window.inertial_states import STATE, InertialStates, at_start
 from probevo.estimation.window.window import Window
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 
@@ -53,29 +49,29 @@ class InertialFit:
         """χ² over its degrees of freedom: 1 if calibration and noise are right."""
         return self.squared / self.dof
 
-    def reason_against(self, largest_excess: float) -> str:
-        """Return what contradicts the images, as the end of "the IMU …"; nothing if they agree."""
+    def reason_against(self, largest_excess: float) -> ImuReason | None:
+        """Return what contradicts the images; None if they agree."""
         if not np.isfinite(self.squared):
-            return "fits the images with no finite residual"
+            text = "fits the images with no finite residual"
+            return ImuReason(ImuFault.NO_FINITE_RESIDUAL, text)
         if self.excess > largest_excess:
-            reason = (
+            text = (
                 f"contradicts the images: χ² is {self.squared:.0f} for {self.dof} degrees of"
                 " freedom; check the mounting, the clock, the units and the noise of the IMU"
             )
             # At least, since the poses have a share in the covariance of the residuals, too.
             factor = np.sqrt(self.excess)
             if factor < USUAL_FACTOR:
-                reason += (
-                    f" (noise densities at least {factor:.1f} times as large would explain it)"
-                )
-            return reason
+                text += f" (noise densities at least {factor:.1f} times as large would explain it)"
+            return ImuReason(ImuFault.CONTRADICTION, text)
         off_m_s2 = abs(self.gravity_m_s2 - GRAVITY_M_S2)
         if off_m_s2 > 3.0 * self.gravity_sigma_m_s2 + GRAVITY_TOLERANCE_M_S2:
-            return (
+            text = (
                 f"measures gravity as {self.gravity_m_s2:.2f} ±"
                 f" {self.gravity_sigma_m_s2:.2f} m/s²; check the unit of the accelerometer"
             )
-        return ""
+            return ImuReason(ImuFault.WRONG_GRAVITY, text)
+        return None
 
 
 def fit_inertial_states(

@@ -135,17 +135,8 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
     # of later frames move up.
     num_before = np.cumsum(leaving)
     observations = window.observations
-    imu = window.inertial
-    if imu is not None:
-        # A factor leads from a frame to the next one, and stays where both of them do.
-        stays = ~leaving
-        factors = tuple(
-            imu.factors[slot - 1] if stays[slot - 1] else None for slot in np.flatnonzero(stays)[1:]
-        )
-        imu = replace(imu, factors=factors)
     return replace(
         window.without_frames(leaving),
         prior=kept_positive(without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
-        inertial=imu,
     )

@@ -7,8 +7,8 @@ covariances of poses are absolute: they grow along the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,8 @@ from probevo.estimation.window.equations import (
     WindowLandmarks,
     WindowObservations,
 )
+from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3
-
-if TYPE_CHECKING:
-    from probevo.estimation.window.inertial import Inertial
 
 RIGID_SIGMA_RAD = 1e-9
 """Standard deviation of the jitter of a rig that is said to be flawless, rad."""
@@ -88,8 +86,8 @@ class Window:
     (Schmidt's consider term). ``cov`` is without it."""
     marginalized: tuple[SmoothedPose, ...] = ()
     """The poses that have left the window in the last step."""
-    inertial: Inertial | None = None
-    """Its IMU, with velocities, biases and gravity; None without one."""
+    inertial: Inertial = field(default_factory=Inertial.none)
+    """Its IMU, with velocities, biases and gravity; ``Inertial.none`` without one."""
 
     @staticmethod
     def at_first_frame(frame: int) -> Window:
@@ -215,8 +213,8 @@ class Window:
     def without_frames(self, leaving: BoolArray) -> Window:
         """Return the window without the poses of some frames, [K], which it lists as marginalised.
 
-        Prior, landmarks, observations and IMU stay as they are: whoever calls this marginalises
-        them.
+        Prior, landmarks, observations and the states of the IMU stay as they are: whoever calls
+        this marginalises them.
         """
         stays = ~leaving
         kept = ~is_of_poses(leaving)
@@ -229,6 +227,7 @@ class Window:
             distortion=self.distortion.subset(stays),
             jitter=self.jitter[stays],
             cov=self.cov[np.ix_(kept, kept)],
+            inertial=self.inertial.kept(stays),
             marginalized=(
                 *self.marginalized,
                 *(self.pose(int(slot)) for slot in np.flatnonzero(leaving)),
