@@ -284,7 +284,7 @@ STAGES = {
     "solve from two frames": Stage("probevo.estimation.visual_motion", "evaluated_at"),
     "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
     "rig update": Stage("probevo.estimation.self_calibration", "update_rig"),
-    "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated"),
+    "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated_by_independent_solve"),
     "motion model": Stage("probevo.estimation.motion_model:MotionModel", "after_solve"),
     "dead reckoning": Stage(
         "probevo.estimation.motion_model:MotionModel", "dead_reckoned", is_blind=True
