@@ -422,6 +422,36 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     assert motions[11].status is OK
 
 
+@pytest.mark.parametrize("sigma", [0.0, 1.5], ids=["the same bytes", "compressed anew"])
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_video_whose_frames_were_doubled_has_the_same_path(
+    tmp_path: Path, estimator: str, sigma: float
+) -> None:
+    """Not that of a camera at rest, whose every second motion is refused."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 12))
+    rng = np.random.default_rng(0)
+
+    def again(image: Image | None) -> Image:
+        assert image is not None
+        noisy = image + rng.normal(0.0, sigma, image.shape)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+    frames = []
+    for frame in sequence:
+        frames += [frame, replace(frame, left=again(frame.left), right=again(frame.right))]
+    odometry = pv.StereoOdometry(sequence.camera, config={"estimator": estimator})
+    motions = [
+        odometry.step(replace(frame, index=k, stamp_ns=50_000_000 * k))
+        for k, frame in enumerate(frames)
+    ]
+    true = se3.inverse(sequence.truth.T_world_cam[0]) @ sequence.truth.T_world_cam[-1]
+    length = np.linalg.norm(true[:3, 3])
+    found = np.linalg.norm(motions[-2].T_world_cam[:3, 3])
+    step = length / 11
+    assert abs(found - length) < 1.5 * step  # the first repetition looks like rest
+    assert any("images repeat those before" in text for text in motions[-1].missing)
+
+
 def test_in_a_blackout_the_attitude_by_the_gyro_is_consistent() -> None:
     """From the third frame on, when its bias is hardly known, for 15 frames: the mean of the
     squared errors over 20 drives lies in the 99.9 % interval of χ²(3)."""

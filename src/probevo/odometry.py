@@ -17,7 +17,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.frozen_images import are_frozen
+from probevo.estimation.frozen_images import are_frozen, may_be_frozen
 from probevo.estimation.landmarks import Landmarks, triangulated
 from probevo.estimation.motion_correction import shares_of, with_correction
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
@@ -131,7 +131,7 @@ class StereoOdometry:
         # noise/, estimation/: φ → R → motion
         solved = self._solve_or_recover(observed, measured, clock)
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
-        estimate = replace(estimate, missing=missing)
+        estimate = replace(estimate, missing=missing + observed.missing)
         # The state changes last, so that a step that raises leaves no trace.
         self._state = after
         return estimate
@@ -274,6 +274,7 @@ class StereoOdometry:
                 camera=self.camera,
                 config=self.config,
             )
+        is_doubtful = not is_frozen and may_be_frozen(state.frame, frame, model)
         clock.lap("track")
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
@@ -297,7 +298,14 @@ class StereoOdometry:
         clock.lap("predict")
         # A second search in the same images, from the last usable frame, finds them prepared.
         prediction = replace(prediction, frame=frame)
-        return Observed(prediction, tracked, corrected, phi, is_frozen)
+        return Observed(
+            prediction,
+            tracked,
+            corrected,
+            phi,
+            is_frozen=is_frozen,
+            may_be_frozen=is_doubtful,
+        )
 
     def _measure(self, prediction: Prediction, observed: Observed, clock: StageClock) -> Measured:
         """Collect the measurements of the gyro and of all sensors that are not excluded.
@@ -498,7 +506,10 @@ class StereoOdometry:
             )
         else:
             noise_scale = state.noise_scale.after(visual.estimated_noise_factor)
-            model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
+            if solved.observed.may_be_frozen:
+                model = state.motion_model.after_repetition(duration_s)
+            else:
+                model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
             if self.predictors.depends_on_previous_motion:
                 residuals = LastResiduals.left_by(solved.tracks, visual.T_reference, self.camera)
         return motion, replace(

@@ -31,6 +31,14 @@ class Observed:
     """The predictors of these tracks, [N, M]."""
     is_frozen: bool
     """Whether the images do not change although the camera moves; then there are no tracks."""
+    may_be_frozen: bool
+    """Whether they do not change, and the camera need not rest for all that."""
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What the frame lacks, in words, as of ``MotionEstimate``."""
+        repeats = self.is_frozen or self.may_be_frozen
+        return ("1 of 1 frames whose images repeat those before",) if repeats else ()
 
 
 @dataclass(frozen=True)

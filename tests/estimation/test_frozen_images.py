@@ -1,11 +1,13 @@
 """Images that repeat mean a hanging camera only if it cannot have come to rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray, Image
 from probevo.config import MotionModelConfig
-from probevo.estimation.frozen_images import are_frozen
+from probevo.estimation.frozen_images import are_frozen, may_be_frozen
 from probevo.estimation.motion_model import MotionModel
 from probevo.sequences.frame import Frame
 from worlds import FORWARD, FRAME_NS, START_NS
@@ -58,3 +60,28 @@ def test_repeated_images_of_a_moving_camera_are_frozen(
     prev_frame, frame = frames_of(IMAGE, image)
     found = are_frozen(prev_frame, frame, model, model.predict(0.1, None), were_frozen=were_frozen)
     assert found is expected
+
+
+@pytest.mark.parametrize(
+    ("image", "refusals", "is_after_repetition", "expected"),
+    [
+        (IMAGE, 0, False, True),
+        (NOISY, 0, False, False),
+        (NOISY, 1, False, True),
+        (NOISY, 0, True, True),
+        (OTHER, 1, True, False),
+    ],
+    ids=[
+        "the same bytes",
+        "the same but for noise",
+        "the same but for noise, after a motion that was refused",
+        "the same but for noise, after a motion behind others that repeated",
+        "others",
+    ],
+)
+def test_repeated_images_of_a_camera_at_rest_may_be_frozen(
+    image: Image, refusals: int, *, is_after_repetition: bool, expected: bool
+) -> None:
+    rest = MotionModel.at_start(MotionModelConfig()).after_solve(0.1, np.eye(4), 1e-6 * np.eye(6))
+    model = replace(rest, refusals=refusals, is_after_repetition=is_after_repetition)
+    assert may_be_frozen(*frames_of(IMAGE, image), model) is expected

@@ -437,3 +437,18 @@ def test_forward_speeds_are_tried_while_none_is_known() -> None:
     start = MotionModel.at_start(MotionModelConfig(start_speed_m_s=20.0))
     tried = [-T[2, 3] for T in start.starts(0.1, start.predict(0.1, None))]
     np.testing.assert_allclose(tried, [0.0, 1.0, 2.0, 3.0])
+
+
+def test_behind_repeated_images_the_velocity_is_between_that_of_one_step_and_of_all() -> None:
+    """The camera may have rested while the images repeated, or have moved on."""
+    model = MotionModel.at_start(MotionModelConfig())
+    for _ in range(3):
+        model = model.after_repetition(0.1)
+    assert model.speed_is_unknown
+    forward = se3.exp(np.array([0.01, 0.0, -1.2, 0.0, 0.01, 0.0]))
+    model = model.after_solve(0.1, forward, 1e-6 * np.eye(6))
+    fast = se3.log(forward) / 0.1
+    np.testing.assert_allclose(model.twist, 0.625 * fast, atol=1e-9)
+    np.testing.assert_allclose(model.twist_sigma[2], 0.375 * abs(fast[2]), rtol=1e-3)
+    after = model.after_solve(0.1, forward, 1e-6 * np.eye(6))
+    np.testing.assert_allclose(after.twist, fast, atol=1e-9)

@@ -1,5 +1,7 @@
 """The warnings of a run: which steps count, and what is said of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,9 +17,11 @@ from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
 from probevo.output.run_result import RunRecorder
 from probevo.output.run_warnings import (
+    REPEATED,
     camera_warning,
     focal_warning,
     imu_warning,
+    repetition_warning,
     run_warnings,
     scale_warning,
     status_warning,
@@ -221,6 +225,21 @@ def test_an_imu_that_ends_is_said_to_be_unused_from_then_on() -> None:
     assert said == "The IMU has no samples. From frame 9 on, the path is by images alone."
     assert _imu_said([*reasons, None], first_used=3) == ""
     assert _imu_said([None] * 4) == ""
+
+
+def test_images_that_repeat_are_counted() -> None:
+    assert repetition_warning(2, 30) is None
+    found = repetition_warning(15, 30)
+    assert found is not None
+    assert found.startswith("The images of 15 of 30 frames are those of the frame before")
+    recorder = RunRecorder()
+    frames = drive(np.random.default_rng(0), 2)
+    odometry = pv.StereoOdometry(CAMERA)
+    for k, frame in enumerate(frames):
+        motion = odometry.step(frame)
+        lacking = ("1 of 1 frames whose images repeat those before",) if k else ()
+        recorder.add(frame.stamp_ns, replace(motion, missing=lacking))
+    assert recorder.result().unusable[REPEATED] == 1
 
 
 def test_images_of_other_frames_are_named_with_the_cure() -> None:

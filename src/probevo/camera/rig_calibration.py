@@ -98,6 +98,11 @@ class RigCalibration:
         )
 
     @property
+    def has_seen_rows(self) -> bool:
+        """Whether the row offsets of a frame are in the estimate."""
+        return bool(self.rows_information[0, 0] > ROW_SIGMA_PX[0] ** -2.0)
+
+    @property
     def disparity(self) -> FloatArray:
         """b₁, b₂, [2], px."""
         return self.image.disparity
@@ -136,16 +141,29 @@ class RigCalibration:
         )
         return corrected
 
-    def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
-        """Update the row coefficients with the raw stereo matches [N, 4], px, of one frame.
+    def with_rows(
+        self, pixels: FloatArray, camera: StereoCamera, *, novelty: float = 1.0
+    ) -> RigCalibration:
+        """Update the row coefficients with the raw stereo matches of one frame.
 
         The errors of the images are conditional on a₆, so they change along with a₆.
+
+        Args:
+            pixels: the matches, [N, 4], px.
+            camera: the rectified camera.
+            novelty: how much their errors tell that those of earlier frames did not, 0 to 1: a rig
+                that stands repeats the same errors, and one flexure. The first frame counts in
+                full.
         """
+        if not self.has_seen_rows:
+            novelty = 1.0
+        if novelty == 0.0:
+            return self
         rows, information = fit_row_offsets(
             row_basis(pixels, camera),
             pixels[:, 3] - pixels[:, 1],
             (self.rows, self.rows_information),
-            noise=ROW_NOISE,
+            noise=ROW_NOISE._replace(correlated=CORRELATED_FEATURES / novelty),
             iterations=ROW_ITERATIONS,
         )
         return replace(

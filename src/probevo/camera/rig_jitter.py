@@ -76,7 +76,7 @@ class RigJitter:
         """Return whether a variance is more than ``LARGER`` times that of another covariance."""
         return cov is not None and bool((np.diagonal(self.cov) > LARGER * np.diagonal(cov)).any())
 
-    def with_change(self, second_moment: FloatArray) -> RigJitter:
+    def with_change(self, second_moment: FloatArray, *, novelty: float = 1.0) -> RigJitter:
         """Update S with the change ω_k − ω_{k−1} in one step: one step of online EM.
 
         Two frames show only the change of the jitter well, whose covariance is 2 S. A step without
@@ -84,11 +84,12 @@ class RigJitter:
 
         Args:
             second_moment: E[(ω_k − ω_{k−1})(ω_k − ω_{k−1})ᵀ] given the step's residuals, [3, 3].
+            novelty: how much the step counts, 0 to 1: a rig that stands does not flex.
         """
         # S ← (1 − n^−0.7) S + n^−0.7 · ½ E[…]: the change has the covariance 2 S, hence the ½. The
         # last line keeps S symmetric and invertible.
-        frames = min(self.frames + 1.0, MOST_FRAMES)
-        share = frames**-EM_STEP_EXPONENT
+        frames = min(self.frames + novelty, MOST_FRAMES)
+        share = novelty * frames**-EM_STEP_EXPONENT
         cov = self.cov + share * (0.5 * second_moment - self.cov)
         cov = 0.5 * (cov + cov.T) + share * LEAST_SIGMA_RAD**2 * np.eye(3)
         return replace(self, cov=cov, frames=frames)

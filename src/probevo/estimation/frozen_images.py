@@ -1,5 +1,5 @@
-"""Detection of frozen images: they do not change although the camera moves, as when a driver
-hangs."""
+"""Detection of images that repeat: those of a driver that hangs, of a video whose frames were
+doubled, or of a camera at rest."""
 
 from __future__ import annotations
 
@@ -43,6 +43,25 @@ def are_frozen(
         return True
     cannot_rest = prediction.squared_distance(np.eye(4), np.zeros((6, 6))) > INNOVATION_GATE
     return (were_frozen or cannot_rest) and _looks_repeated(prev_frame, frame)
+
+
+def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
+    """Return whether images that do not change leave open whether the camera rests.
+
+    The images may be frozen if they are the same bytes, which is rest only where images have no
+    noise; or if they are the same except for noise, and the last motion followed images that
+    repeat, or was refused since it contradicts the rest, as where each frame of a video comes
+    twice.
+
+    Args:
+        prev_frame: the previous frame.
+        frame: the current frame.
+        model: the motion model before the step.
+    """
+    if _is_repeated(prev_frame, frame):
+        return True
+    is_in_doubt = model.is_after_repetition or model.refusals > 0
+    return is_in_doubt and _looks_repeated(prev_frame, frame)
 
 
 def _is_repeated(prev: Frame, curr: Frame) -> bool:

@@ -136,6 +136,10 @@ class MotionModel:
     path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """∂(path error)/∂(error of the velocity) since the last solve, along the axes of the current
     camera, [6, 6]."""
+    unseen_s: float = 0.0
+    """Time of the last steps if their images repeated, so that the camera may have moved."""
+    is_after_repetition: bool = False
+    """Whether the last solved motion followed such steps, so that its duration is in doubt."""
     since_solve_s: float = 0.0
     """Time of the dead-reckoned steps since the last solve."""
     acceleration_scale: AccelerationScale = field(default_factory=AccelerationScale)
@@ -265,6 +269,12 @@ class MotionModel:
         # ``path_sensitivity`` are reset.
         twist = se3.log(T_curr_prev) / duration_s
         twist_sigma = np.sqrt(np.diagonal(cov)) / duration_s
+        if self.unseen_s > 0.0:
+            # The motion happened in this step, or since the images began to repeat: take the mean
+            # of both velocities.
+            slower = se3.log(T_curr_prev) / (duration_s + self.unseen_s)
+            twist_sigma = np.hypot(twist_sigma, 0.5 * (twist - slower))
+            twist = 0.5 * (twist + slower)
         # A motion within a microsecond tells less of the velocity than the prior does.
         prior = MotionModel.at_start(self.config)
         is_known = twist_sigma < prior.twist_sigma
@@ -285,8 +295,24 @@ class MotionModel:
             twist_sigma=twist_sigma,
             usual_step_s=rate.usual_step_s,
             gaps=rate.gaps,
+            is_after_repetition=self.unseen_s > 0.0,
             acceleration_scale=scale,
         )
+
+    def without_velocity(self) -> MotionModel:
+        """Return the model with a velocity that is as unknown as at the start."""
+        return replace(
+            MotionModel.at_start(self.config),
+            usual_step_s=self.usual_step_s,
+            gaps=self.gaps,
+            acceleration_scale=self.acceleration_scale,
+        )
+
+    def after_repetition(self, duration_s: float) -> MotionModel:
+        """Return the model after a step whose images repeat those before: the camera rests, or has
+        moved on unseen."""
+        unknown = self._with_step(duration_s).without_velocity()
+        return replace(unknown, unseen_s=self.unseen_s + duration_s)
 
     def after_recovery(
         self, duration_s: float, path_s: float, T_curr_usable: FloatArray, cov: FloatArray
@@ -341,12 +367,7 @@ class MotionModel:
         # model again and again are right. Keep the twist as a guess, but let it reject nothing.
         if refusals >= MAX_REFUSALS:
             return replace(
-                MotionModel.at_start(self.config),
-                twist=self.twist,
-                usual_step_s=rate.usual_step_s,
-                gaps=rate.gaps,
-                path_sensitivity=path_sensitivity,
-                acceleration_scale=self.acceleration_scale,
+                rate.without_velocity(), twist=self.twist, path_sensitivity=path_sensitivity
             )
         return replace(
             rate,

@@ -87,7 +87,8 @@ def update_rig(
     if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
         return rig, CommonMode.none()
     equations = _joint_equations(tracks, solution, camera)
-    return _updated_rig(rig, solution, equations), _common_mode(rig, solution, equations)
+    updated = _updated_rig(rig, solution, equations, novelty=tracks.novelty)
+    return updated, _common_mode(rig, solution, equations)
 
 
 class _JointEquations(NamedTuple):
@@ -131,7 +132,11 @@ def _joint_equations(
 
 
 def _updated_rig(
-    rig: RigCalibration, solution: ReprojectionSolution, equations: _JointEquations
+    rig: RigCalibration,
+    solution: ReprojectionSolution,
+    equations: _JointEquations,
+    *,
+    novelty: float,
 ) -> RigCalibration:
     """Update the errors of the images, the focal length's and the jitter with a step.
 
@@ -139,6 +144,7 @@ def _updated_rig(
         rig: the estimate before the step.
         solution: the motion.
         equations: those of the step.
+        novelty: of the step, see ``Tracks``.
     """
     # Eliminate (ξ, η): the Schur complement on (b₀, c, a₆, ε) is B − Cᵀ H⁻¹ C, and its gradient
     # g_rig + Cᵀ H⁻¹ g_motion. The step is that of (ξ, η) with the calibration held.
@@ -172,8 +178,9 @@ def _updated_rig(
         np.append(rig.disparity, 0.0),
     )
     updated = replace(updated, focal=focal)
-    if solution.jitter is not None:
-        updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
+    if solution.jitter is not None and solution.exceeds_noise:
+        jitter = _updated_jitter(rig.jitter, solution.jitter, step[6:], novelty=novelty)
+        updated = replace(updated, jitter=jitter)
     return updated
 
 
@@ -223,7 +230,9 @@ def _square_root(columns: FloatArray) -> FloatArray:
     return lower
 
 
-def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -> RigJitter:
+def _updated_jitter(
+    jitter: RigJitter, solved: SolvedJitter, step: FloatArray, *, novelty: float
+) -> RigJitter:
     """Update S with the change of the jitter between the frames, after a Gauss–Newton step, [6].
 
     E[(ω' − ω°)(ω' − ω°)ᵀ] is the outer product of the mean plus the covariance, as in EM: a step
@@ -233,7 +242,8 @@ def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -
     change = np.hstack([unknown.curr_root, -unknown.prev.root])
     # ω' − ω° = L' η' − L° η° − m.
     mean = change @ (solved.eta + step) - unknown.prev.mean
-    return jitter.with_change(np.outer(mean, mean) + change @ solved.cov[6:, 6:] @ change.T)
+    second_moment = np.outer(mean, mean) + change @ solved.cov[6:, 6:] @ change.T
+    return jitter.with_change(second_moment, novelty=novelty)
 
 
 def calibration_sensitivity(

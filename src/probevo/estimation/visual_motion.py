@@ -51,10 +51,6 @@ MINORITY_FACTOR = 2
 the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
 Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
 all on one; one of these was 0.4 m off and claimed 9 mm."""
-LEAST_SHIFT_PX = 1.0
-"""Median shift of the features from which on their residuals show the noise. A feature's error
-depends on its place between the pixels: it is another one a pixel further, and the same one where
-the image has hardly moved."""
 
 
 @dataclass(frozen=True)
@@ -151,13 +147,12 @@ class _Solve:
 
         None where they do not show it: Gaussian noise has no room for outliers, so that its scale
         is no measure of theirs; and a feature that has hardly moved has the same error in both
-        frames (``LEAST_SHIFT_PX``).
+        frames (``Tracks.novelty``).
 
         Args:
             solution: these tracks, under their noise and without any earlier frame.
         """
-        shift_px = np.linalg.norm(self.tracks.curr_px[:, :2] - self.tracks.prev_px[:, :2], axis=1)
-        has_moved = solution.exceeds_noise and np.median(shift_px) >= LEAST_SHIFT_PX
+        has_moved = solution.exceeds_noise and self.tracks.novelty == 1.0
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
         dof = np.broadcast_to(self.noise.dof, solution.squared.shape)

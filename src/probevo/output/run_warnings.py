@@ -15,6 +15,10 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
+REPEATED = "frames_whose_images_repeat_those_before"
+"""Name of these frames among those that are ``RunResult.unusable``."""
+MOST_REPEATED = 0.1
+"""Share of them from which on it is said."""
 FEWEST_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
 MAX_SCALE_ERROR = 0.04
@@ -52,6 +56,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
     warnings = {
         "Stopped before the end": stopped,
         "Few steps are OK": status_warning(result.status),
+        "Images repeat": repetition_warning(result.unusable.get(REPEATED, 0), len(result)),
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
@@ -78,6 +83,18 @@ def status_warning(status: IntArray) -> str | None:
         f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
         f" others are {name}, usually because of {_CAUSES[prevailing]}: see `probevo info"
         " SEQUENCE`."
+    )
+
+
+def repetition_warning(num_repeated: int, num_frames: int) -> str | None:
+    """Warn if the images of so many frames repeat those before that it is no chance; else None."""
+    if num_repeated < MOST_REPEATED * num_frames:
+        return None
+    return (
+        f"The images of {num_repeated:,} of {num_frames:,} frames are those of the frame before, as"
+        " of a driver that hangs, or a video of a higher rate than the camera's. While the camera"
+        " moves they are bridged; before that, they look like rest. Leave them out: their stamps"
+        " are not those of the images."
     )
 
 

@@ -57,7 +57,7 @@ class CorrectedTracks:
             delay_s = rig.delay.delay_s
             simultaneous = _without_delay(raw, delay_s, camera, (prev_twist, curr_twist))
         # Row offsets need no motion, so every frame updates them, accepted or not.
-        updated = rig.with_rows(simultaneous.curr_px, camera)
+        updated = rig.with_rows(simultaneous.curr_px, camera, novelty=raw.novelty)
         return CorrectedTracks(
             raw=raw,
             prior_rig=rig,

@@ -15,6 +15,9 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 
+NEW_ERROR_PX = 1.0
+"""Shift over the image from which on the error of a point is another one."""
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -49,6 +52,24 @@ class Tracks:
         """Whether each place is that of a window aligned with the patch of the point's first frame;
         tracks of another front end are not."""
         return self.difference is not None
+
+    @property
+    def median_shift_px(self) -> float:
+        """Median shift of the points over the left image; 0 without points."""
+        if not len(self):
+            return 0.0
+        shift_px = np.linalg.norm(self.curr_px[:, :2] - self.prev_px[:, :2], axis=1)
+        return float(np.median(shift_px))
+
+    @property
+    def novelty(self) -> float:
+        """How much the errors of the points tell that those of the previous frame did not, 0 to 1.
+
+        The error of a point depends on its place between the pixels: it is another one a pixel
+        further (``NEW_ERROR_PX``), and the same one where the image has hardly moved. Of a smaller
+        shift, which noise mimics, the square counts.
+        """
+        return min(self.median_shift_px / NEW_ERROR_PX, 1.0) ** 2
 
     def __len__(self) -> int:
         """Return the number of points, N."""
