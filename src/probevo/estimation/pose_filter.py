@@ -42,6 +42,39 @@ class FurtherState:
 
 
 @dataclass(frozen=True)
+class UncorrectedPath:
+    """The pose as it would be without the measurements that have corrected it.
+
+    How the error of a step depends on that of the path before it is known of this path, of error w
+    (``MotionEstimate.path_cross_cov``). The corrected pose and the further states have the error K
+    w + n, where n does not depend on w.
+    """
+
+    pose: PoseFilter
+    gain: FloatArray
+    """K, [6 + n, 6]."""
+
+    def advanced(self, motion: MotionEstimate) -> tuple[UncorrectedPath, FloatArray]:
+        """Return the path after a step, and the cross-covariance of corrected pose and further
+        states, moved by the step, with its error ε, [6 + n, 6]."""
+        adjoint = se3.adjoint(motion.T_curr_prev)
+        moved = self.gain.copy()
+        moved[:POSE] = adjoint @ moved[:POSE]
+        moved = moved @ se3.adjoint(se3.inverse(motion.T_curr_prev))
+        cross_cov = moved @ motion.path_cross_cov
+        # With the step, w becomes w⁺ = Ad w + ε, and the error of the corrected pose K' w⁺ + (1 −
+        # K') ε + n: regress ε on w⁺.
+        pose = self.pose.advanced(motion)
+        own_cov = motion.cov - motion.common_mode @ motion.common_mode.T
+        with_path = (
+            own_cov + motion.path_cross_cov.T + motion.common_mode @ pose.common_mode[:POSE].T
+        )
+        step_share = with_path @ scaled_inverse(pose.cov + np.diag(LEAST_SIGMA**2))
+        of_step = np.eye(len(moved), POSE) - moved
+        return UncorrectedPath(pose, moved + of_step @ step_share), cross_cov
+
+
+@dataclass(frozen=True)
 class PoseFilter:
     """A Gaussian estimate of the pose of the current camera; the world is the first camera.
 
@@ -57,9 +90,8 @@ class PoseFilter:
     common_mode: FloatArray
     """∂(pose, further states)/∂(common-mode errors), [6 + n, COMMON_MODE_COLUMNS]; those of all
     steps add up."""
-    is_corrected: bool = False
-    """Whether a measurement of the pose has corrected it. From then on the cross-covariances of
-    steps with the path before them are neglected: they refer to the uncorrected path."""
+    uncorrected: UncorrectedPath | None = None
+    """The pose without corrections; None if no measurement of the pose has corrected it."""
     further: tuple[FurtherState, ...] = ()
 
     @staticmethod
@@ -70,6 +102,11 @@ class PoseFilter:
             own_cov=np.zeros((6, 6)),
             common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         )
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether a measurement of the pose has corrected it."""
+        return self.uncorrected is not None
 
     @property
     def joint_cov(self) -> FloatArray:
@@ -104,9 +141,14 @@ class PoseFilter:
         own_cov = np.zeros((size, size))
         own_cov[:before, :before] = self.own_cov
         own_cov[before:, before:] = cov
+        uncorrected = self.uncorrected
+        if uncorrected is not None:
+            gain = np.vstack([uncorrected.gain, np.zeros((len(value), POSE))])
+            uncorrected = replace(uncorrected, gain=gain)
         return replace(
             self,
             own_cov=own_cov,
+            uncorrected=uncorrected,
             common_mode=np.vstack([self.common_mode, np.zeros((len(value), COMMON_MODE_COLUMNS))]),
             further=(*self.further, FurtherState(variable, value)),
         )
@@ -131,8 +173,13 @@ class PoseFilter:
         step_cov = motion.cov - motion.common_mode @ motion.common_mode.T
         own_cov = adjoint @ self.own_cov @ adjoint.T
         own_cov[:POSE, :POSE] += step_cov
-        if not self.is_corrected:
+        uncorrected = self.uncorrected
+        if uncorrected is None:
             own_cov[:POSE, :POSE] += motion.path_cross_cov + motion.path_cross_cov.T
+        else:
+            uncorrected, cross_cov = uncorrected.advanced(motion)
+            own_cov[:, :POSE] += cross_cov
+            own_cov[:POSE] += cross_cov.T
         common_mode = adjoint @ self.common_mode
         common_mode[:POSE] += motion.common_mode
         return replace(
@@ -140,6 +187,7 @@ class PoseFilter:
             T_world_cam=self.T_world_cam @ se3.inverse(motion.T_curr_prev),
             own_cov=own_cov,
             common_mode=common_mode,
+            uncorrected=uncorrected,
         )
 
     @property
@@ -198,15 +246,27 @@ class PoseFilter:
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
         cov = scaled_inverse(information)
         # s⁺ = A s with A = P⁺ P⁻¹; of P⁺, what is not s⁺ s⁺ᵀ is the pose's own.
-        common_mode = cov @ scaled_inverse(prior_cov) @ self.common_mode
+        A = cov @ scaled_inverse(prior_cov)
+        common_mode = A @ self.common_mode
+        before = self.uncorrected or UncorrectedPath(
+            self._pose_alone(), gain=np.eye(len(prior_cov), POSE)
+        )
         return PoseFilter(
             T_world_cam=se3.inverse(optimum.values[pose]),
             own_cov=cov - common_mode @ common_mode.T,
             common_mode=common_mode,
-            is_corrected=True,
+            uncorrected=replace(before, gain=A @ before.gain),
             further=tuple(
                 replace(state, value=optimum.values[state.variable]) for state in self.further
             ),
+        )
+
+    def _pose_alone(self) -> PoseFilter:
+        """Return the filter without further states."""
+        return PoseFilter(
+            T_world_cam=self.T_world_cam,
+            own_cov=self.own_cov[:POSE, :POSE],
+            common_mode=self.common_mode[:POSE],
         )
 
     def _starts(self, pose: Variable) -> list[Values]:
