@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from probevo.sequences.frame import Frame as Frame
     from probevo.sequences.frame import ImuSamples as ImuSamples
     from probevo.sequences.imu_calibration import ImuCalibration as ImuCalibration
+    from probevo.sequences.pose_files import write_kitti_poses as write_kitti_poses
+    from probevo.sequences.pose_files import write_tum as write_tum
     from probevo.training.api import train_model as train_model
     from probevo.training.settings import TrainSettings as TrainSettings
 
@@ -50,6 +52,8 @@ _MODULE_OF = {
     "plot": "probevo.runs.plot",
     "save_model": "probevo.noise.model_io",
     "train_model": "probevo.training.api",
+    "write_kitti_poses": "probevo.sequences.pose_files",
+    "write_tum": "probevo.sequences.pose_files",
 }
 """The module that defines each public name."""
 _MODULES = ("noise", "predictors")

@@ -274,7 +274,7 @@ class StereoOdometry:
                 camera=self.camera,
                 config=self.config,
             )
-        is_doubtful = not is_frozen and may_be_frozen(state.frame, frame, model)
+        is_open = not is_frozen and may_be_frozen(state.frame, frame, model)
         clock.lap("track")
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
@@ -304,7 +304,7 @@ class StereoOdometry:
             corrected,
             phi,
             is_frozen=is_frozen,
-            may_be_frozen=is_doubtful,
+            may_be_frozen=is_open,
         )
 
     def _measure(self, prediction: Prediction, observed: Observed, clock: StageClock) -> Measured:

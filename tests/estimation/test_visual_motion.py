@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
+from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
@@ -29,7 +31,17 @@ from probevo.noise import Fixed, NearestNeighbors, NoiseModel, StereoNoise, Stud
 from probevo.noise.base import has_assumed_scale
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, seen_twice, tracks_of
+from worlds import (
+    CAMERA,
+    FORWARD,
+    Homesick,
+    at_infinity,
+    both,
+    drive,
+    motion_error,
+    seen_twice,
+    tracks_of,
+)
 
 CONFIG = OdometryConfig()
 UNKNOWN = MotionModel.at_start(CONFIG.motion_model).predict(0.1, None)
@@ -676,3 +688,15 @@ def test_judge_calls_a_large_standard_deviation_degenerate(
         sigma = np.full(6, 1e-4)
         sigma[axis] = factor * limits[axis]
         assert status_of(replace(solution, cov=np.diag(sigma**2))) is status
+
+
+def test_a_model_that_returns_no_noise_is_named() -> None:
+    class Wrong(StudentT):
+        def predict(self, predictors: FloatArray) -> StereoNoise:
+            return np.eye(4)  # type: ignore[return-value]
+
+    odometry = pv.StereoOdometry(CAMERA, noise=Wrong())
+    frames = drive(np.random.default_rng(0), 2)
+    odometry.step(frames[0])
+    with pytest.raises(InputError, match="its predict returns a ndarray, where a StereoNoise is"):
+        odometry.step(frames[1])

@@ -27,6 +27,7 @@ from probevo.output.run_warnings import (
     status_warning,
     timing_warning,
     truth_warning,
+    unsolved_warning,
 )
 from worlds import CAMERA, FORWARD, drive
 
@@ -37,7 +38,18 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     said = status_warning(np.array([Status.OK, other, status, status]))
     assert said is not None
     assert said.startswith("Only 1 of 4 steps are OK")
-    assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
+    assert f"Most of the others are {status.name.replace('_', ' ').lower()}," in said
+
+
+def test_a_tenth_of_steps_without_a_solve_is_said() -> None:
+    lost = Status.TOO_FEW_TRACKS
+    assert unsolved_warning(np.array([Status.OK] * 19 + [lost])) is None
+    assert unsolved_warning(np.array([Status.OK] * 9 + [Status.RECOVERED])) is None
+    assert unsolved_warning(np.array([Status.OK] * 4 + [lost] * 6)) is None  # said otherwise
+    said = unsolved_warning(np.array([Status.OK] * 8 + [lost] * 2))
+    assert said is not None
+    assert said.startswith("2 of 10 steps are dead-reckoned")
+    assert "too few tracks" in said
 
 
 def _winding(rng: np.random.Generator, length_m: float) -> FloatArray:

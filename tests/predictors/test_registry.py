@@ -105,7 +105,7 @@ def test_a_column_of_no_known_predictor_is_named() -> None:
 )
 def test_columns_that_no_order_of_predictors_gives_are_refused(columns: tuple[str, ...]) -> None:
     """Half a predictor, or its columns swapped."""
-    with pytest.raises(InputError, match=f"trained on {', '.join(columns)}, in this order"):
+    with pytest.raises(InputError, match=f"its columns are {', '.join(columns)}, in this order"):
         space_for(columns)
 
 
@@ -117,7 +117,7 @@ def test_a_given_space_with_other_columns_is_refused(names: list[str]) -> None:
     with pytest.raises(InputError) as caught:
         space_for(("x", "y", "disparity"), given)
     gets = ", ".join(given.columns) or "none"
-    assert f"it was trained on x, y, disparity, in this order, but gets {gets}." in str(
+    assert f"its columns are x, y, disparity, in this order, but it gets {gets}." in str(
         caught.value
     )
     assert "Give it the predictors that it was trained with, in their order." in str(caught.value)

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -94,3 +95,13 @@ def test_unreadable_files(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.txt", tmp_path, tmp_path / "image.png"):
         with pytest.raises(InputError, match=r"is missing|cannot be read"):
             read_kitti_poses(path)
+
+
+def test_a_path_of_another_shape_is_refused(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    with pytest.raises(InputError, match=r"T_world_cam: its shape is \(4, 4\)"):
+        pv.write_kitti_poses(tmp_path / "poses.txt", T_world_cam[0])
+    stamps_s = 0.1 * np.arange(len(T_world_cam))
+    with pytest.raises(InputError, match=r"stamps_ns: .* its type float64"):
+        pv.write_tum(tmp_path / "path.tum", stamps_s, T_world_cam)  # type: ignore[arg-type]
+    pv.write_tum(str(tmp_path / "path.tum"), (1e9 * stamps_s).astype(np.int64), T_world_cam)
+    assert len((tmp_path / "path.tum").read_text().splitlines()) == len(T_world_cam)

@@ -108,7 +108,7 @@ def describe(sequence: Sequence) -> Rows:
         ("recording", str(sequence.path)),
         ("format", sequence.format),
         ("frames", frames_text(sequence.stamps_ns)),
-        *_rate_warnings(sequence),
+        *rate_warnings(sequence),
         *_gaps(sequence),
         ("camera", camera),
         *camera_warnings(sequence.camera),
@@ -132,7 +132,8 @@ def describe(sequence: Sequence) -> Rows:
     return rows
 
 
-def _rate_warnings(sequence: Sequence) -> Rows:
+def rate_warnings(sequence: Sequence) -> Rows:
+    """Return what is unusual about the rate of the frames."""
     import numpy as np
 
     if len(sequence) < 2:

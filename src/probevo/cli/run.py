@@ -105,12 +105,13 @@ def refuse_recording(out: Path) -> None:
 
 def reader_warnings(sequence: Sequence) -> list[str]:
     """Return what the reader could not use of a recording, such as its IMU, and what is unusual
-    about its camera, a sentence each."""
-    from probevo.cli.info import camera_warnings
+    about its camera and its rate, a sentence each."""
+    from probevo.cli.info import camera_warnings, rate_warnings
 
     notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
     found = [(name, text) for name, text in notes if name.startswith("!")]
     found += camera_warnings(sequence.camera)
+    found += rate_warnings(sequence)
     return [f"{name[1:].strip()}: {text}" for name, text in found]
 
 
@@ -230,7 +231,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     without_imu = result.unusable.get("steps_without_imu", 0)
     if without_imu and len(result) > 1:
         lines.append(f"IMU: not used in {without_imu} of {len(result) - 1} steps")
-    if result.jitter_sigma_rad is not None and len(result) > 1:
+    if result.jitter_sigma_rad is not None and Status.OK in result.status:
         lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):
         lines.append(delay_text(result.right_delay_s))

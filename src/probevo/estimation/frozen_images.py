@@ -60,8 +60,8 @@ def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
     """
     if _is_repeated(prev_frame, frame):
         return True
-    is_in_doubt = model.is_after_repetition or model.refusals > 0
-    return is_in_doubt and _looks_repeated(prev_frame, frame)
+    is_open = model.is_after_repetition or model.refusals > 0
+    return is_open and _looks_repeated(prev_frame, frame)
 
 
 def _is_repeated(prev: Frame, curr: Frame) -> bool:

@@ -139,7 +139,7 @@ class MotionModel:
     unseen_s: float = 0.0
     """Time of the last steps if their images repeated, so that the camera may have moved."""
     is_after_repetition: bool = False
-    """Whether the last solved motion followed such steps, so that its duration is in doubt."""
+    """Whether the last solved motion followed such steps, so that its duration is not known."""
     since_solve_s: float = 0.0
     """Time of the dead-reckoned steps since the last solve."""
     acceleration_scale: AccelerationScale = field(default_factory=AccelerationScale)

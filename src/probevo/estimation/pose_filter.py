@@ -249,7 +249,7 @@ class PoseFilter:
         A = cov @ scaled_inverse(prior_cov)
         common_mode = A @ self.common_mode
         before = self.uncorrected or UncorrectedPath(
-            self._pose_alone(), gain=np.eye(len(prior_cov), POSE)
+            self._without_further_states(), gain=np.eye(len(prior_cov), POSE)
         )
         return PoseFilter(
             T_world_cam=se3.inverse(optimum.values[pose]),
@@ -261,7 +261,7 @@ class PoseFilter:
             ),
         )
 
-    def _pose_alone(self) -> PoseFilter:
+    def _without_further_states(self) -> PoseFilter:
         """Return the filter without further states."""
         return PoseFilter(
             T_world_cam=self.T_world_cam,

@@ -12,6 +12,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
@@ -499,8 +500,17 @@ class VisualEstimator:
             tracks: N tracks.
             phi: their predictors, [N, M].
             noise_factor: the factor.
+
+        Raises:
+            InputError: a model of the user's own does not return a ``StereoNoise``.
         """
         noise = model.predict(phi)
+        if not isinstance(noise, StereoNoise):
+            raise InputError(
+                "noise model",
+                f"its predict returns a {type(noise).__name__}, where a StereoNoise is expected.",
+                "See CONTRIBUTING.md, “Add a noise model”.",
+            )
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
         if noise_factor != 1.0:

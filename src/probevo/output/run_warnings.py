@@ -21,6 +21,8 @@ MOST_REPEATED = 0.1
 """Share of them from which on it is said."""
 FEWEST_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
+MOST_UNSOLVED = 0.1
+"""Share of steps without a solve from which on it is said."""
 MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
 MAX_ACCELEROMETER_ERROR = 0.03
@@ -38,7 +40,8 @@ SCALE_SIGMAS = 3.0
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
-        "dark, blurred or featureless images, or a pair that is not rectified or not simultaneous"
+        "dark, blurred or featureless images, a pair that is not rectified or not simultaneous, or"
+        " images of more than two megapixels (scale these down: --resized)"
     ),
     Status.NOT_CONVERGED: (
         "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
@@ -56,6 +59,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
     warnings = {
         "Stopped before the end": stopped,
         "Few steps are OK": status_warning(result.status),
+        "Some steps are not solved": unsolved_warning(result.status),
         "Images repeat": repetition_warning(result.unusable.get(REPEATED, 0), len(result)),
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
@@ -76,13 +80,33 @@ def status_warning(status: IntArray) -> str | None:
     num_ok = int(np.sum(status == Status.OK))
     if num_ok >= FEWEST_OK * len(status):
         return None
+    return (
+        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable."
+        f" {_usual_cause(status)}"
+    )
+
+
+def unsolved_warning(status: IntArray) -> str | None:
+    """Warn if a tenth of the steps, [N-1], are not solved, but most are OK; else None."""
+    is_solved = (status == Status.OK) | (status == Status.RECOVERED)
+    num_unsolved = int(np.sum(~is_solved))
+    is_usable = np.sum(status == Status.OK) >= FEWEST_OK * len(status)
+    if not is_usable or num_unsolved < MOST_UNSOLVED * len(status):
+        return None
+    return (
+        f"{num_unsolved:,} of {len(status):,} steps are dead-reckoned; the covariance says how"
+        f" uncertain that makes them, and the path. {_usual_cause(status[~is_solved])}"
+    )
+
+
+def _usual_cause(status: IntArray) -> str:
+    """Return which status most steps have that are not OK, and what usually causes it."""
     found, counts = np.unique(status[status != Status.OK], return_counts=True)
     prevailing = Status(found[counts.argmax()])
     name = prevailing.name.replace("_", " ").lower()
     return (
-        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
-        f" others are {name}, usually because of {_CAUSES[prevailing]}: see `probevo info"
-        " SEQUENCE`."
+        f"Most of the others are {name}, usually because of {_CAUSES[prevailing]}: see `probevo"
+        " info SEQUENCE`."
     )
 
 

@@ -119,12 +119,13 @@ def space_for(columns: Sequence[str], given: PredictionSpace | None = None) -> P
     """
     space = _space_with(columns) if given is None else given
     if columns and space.columns != tuple(columns):
-        trained = ", ".join(columns)
+        needed = ", ".join(columns)
         gets = ", ".join(space.columns) or "none"
         raise InputError(
             "noise model",
-            f"it was trained on {trained}, in this order, but gets {gets}.",
-            "Give it the predictors that it was trained with, in their order.",
+            f"its columns are {needed}, in this order, but it gets {gets}.",
+            "Give it the predictors that it was trained with, in their order. A model of your own"
+            " names all columns of each predictor that it needs, such as x and y of place.",
         )
     return space
 

@@ -112,3 +112,10 @@ class KittiFlowOptions(RateOptions):
     """The options of the format kitti-flow."""
 
     scene: int | None = Field(None, ge=0, description="Number of the scene, such as 27.")
+
+
+def rate_note(rate_hz: float | None) -> str:
+    """Return which rate the frames of a format have whose files hold no times."""
+    if rate_hz is None:
+        return f"no file has times: taken as {SIMULATED_RATE_HZ:g} Hz; --rate-hz gives another rate"
+    return f"no file has times: {rate_hz:g} Hz, of --rate-hz"

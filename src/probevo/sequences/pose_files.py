@@ -5,6 +5,7 @@ Every error names the file, and the line or the pose. Numbers are written at ful
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 
@@ -39,14 +40,27 @@ def read_kitti_poses(path: Path) -> FloatArray:
     return np.where(unknown, np.nan, T)
 
 
-def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
+def read_kitti_truth(
+    path: Path, stamps_ns: IntArray, *, image_names: Sequence[str] = ()
+) -> GroundTruth:
     """Read the ground truth of the frames with these stamps, [K], from poses in KITTI's format.
+
+    Args:
+        path: the file.
+        stamps_ns: of the frames, [K], ns.
+        image_names: names of their images, without suffix. Where these are numbers, a file with
+            more poses than frames is that of a longer recording, and a frame has the pose of its
+            number.
 
     Raises:
         InputError: the file cannot be read, the counts of poses and frames differ, or as
             ``ground_truth`` raises.
     """
     T = _read_kitti(path)
+    if len(T) > len(stamps_ns) and image_names and all(name.isdigit() for name in image_names):
+        numbers = [int(name) for name in image_names]
+        if max(numbers) < len(T):
+            T = T[numbers]
     if len(T) != len(stamps_ns):
         what = f"{len(T)} poses for {len(stamps_ns)} frames."
         raise InputError(
@@ -103,7 +117,7 @@ def _check_positions(T: FloatArray, path: Path) -> None:
         raise InputError(path, what, "Positions are in metres.")
 
 
-def write_tum(path: Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
+def write_tum(path: str | Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
     """Write a TUM trajectory.
 
     A line is ``stamp tx ty tz qx qy qz qw``: the stamp in s with nine decimals, the position in m,
@@ -115,25 +129,48 @@ def write_tum(path: Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
         T_world_cam: poses, [N, 4, 4], m.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the poses or the stamps have another shape, or the file cannot be written.
     """
+    T_world_cam, stamps_ns = _checked_path(T_world_cam, stamps_ns)
     quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat(canonical=True)
     numbers = np.concatenate([T_world_cam[:, :3, 3], quaternions], axis=1)
     stamps = [f"{Decimal(ns).scaleb(-9):.9f}" for ns in stamps_ns.tolist()]
     lines = [f"{stamp} {_shortest_text(row)}\n" for stamp, row in zip(stamps, numbers, strict=True)]
-    write_atomically(path, "".join(lines))
+    write_atomically(Path(path), "".join(lines))
 
 
-def write_kitti_poses(path: Path, T_world_cam: FloatArray) -> None:
+def write_kitti_poses(path: str | Path, T_world_cam: FloatArray) -> None:
     """Write poses T_world_cam, [N, 4, 4], m, in KITTI's odometry form.
 
     A line holds the upper three rows of one pose, row by row: twelve numbers.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the poses have another shape, or the file cannot be written.
     """
+    T_world_cam, _ = _checked_path(T_world_cam)
     rows = T_world_cam[:, :3, :].reshape(-1, 12)
-    write_atomically(path, "".join(f"{_shortest_text(row)}\n" for row in rows))
+    write_atomically(Path(path), "".join(f"{_shortest_text(row)}\n" for row in rows))
+
+
+def _checked_path(
+    T_world_cam: FloatArray, stamps_ns: IntArray | None = None
+) -> tuple[FloatArray, IntArray]:
+    """Return poses [N, 4, 4] and their stamps [N] as arrays; without stamps, those are zeros.
+
+    Raises:
+        InputError: they have another shape.
+    """
+    poses = np.asarray(T_world_cam, np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+        raise InputError("T_world_cam", f"its shape is {poses.shape}, where [N, 4, 4] is expected.")
+    stamps = np.zeros(len(poses), np.int64) if stamps_ns is None else np.asarray(stamps_ns)
+    if stamps.shape != (len(poses),) or stamps.dtype.kind != "i":
+        raise InputError(
+            "stamps_ns",
+            f"its shape is {stamps.shape} and its type {stamps.dtype}, for {len(poses)} poses.",
+            "Give a whole number of ns for each pose.",
+        )
+    return poses, stamps
 
 
 def _shortest_text(row: FloatArray) -> str:

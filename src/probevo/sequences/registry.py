@@ -222,6 +222,7 @@ _BUILT_IN = (
         name="kitti-odometry",
         summary="a sequence of the KITTI odometry benchmark",
         folder_signs=("image_0",),
+        folder_sign_pairs=(("image_2", "times.txt"),),
         open=_open_kitti_odometry,
     ),
     SequenceFormat(  # before euroc, whose sign it has, too

@@ -263,9 +263,13 @@ def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Windo
     num_gated = sum(inertial.was_gated)
     if num_gated >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
         text = (
-            f"contradicted the images in {num_gated} of the last {len(inertial.innovations)} steps,"
-            f" by {inertial.excess:.1f} times their variances in the median"
+            f"contradicted the images in {num_gated} of the last {len(inertial.innovations)} steps"
         )
+        if inertial.excess > LARGEST_EXCESS:
+            text = (
+                f"differs from the images by {inertial.excess:.1f} times what their variances"
+                f" explain, in the median of the last {len(inertial.innovations)} steps"
+            )
         reason = ImuReason(ImuFault.GATED_OFTEN, text).for_good()
         return without_imu(replace(window, inertial=inertial), reason)
     return replace(window, inertial=inertial)

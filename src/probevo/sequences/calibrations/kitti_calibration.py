@@ -93,3 +93,13 @@ class KittiCalibration:
         )
         check_camera(camera, f"{self.path}: {right}")
         return camera
+
+    def T_cam0_cam(self, projection: str) -> FloatArray:
+        """Return the pose of a rectified camera in camera 0, [4, 4], m.
+
+        Args:
+            projection: name of the field with its projection P = K [1 | t].
+        """
+        P = self.array(projection, 3, 4)
+        t = np.linalg.solve(P[:, :3], P[:, 3]).astype(float)
+        return se3.from_parts(np.eye(3), -t)

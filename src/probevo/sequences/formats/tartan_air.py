@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.sequences.format_options import SIMULATED_RATE_HZ
+from probevo.sequences.format_options import SIMULATED_RATE_HZ, rate_note
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.images import list_images
 from probevo.sequences.poses import ground_truth
@@ -87,7 +87,7 @@ def open_tartan_air(path: Path, *, rate_hz: float | None = None) -> StereoRecord
         raise InputError(path / side, what, "Left and right images have the same numbers.")
     stamps_ns = evenly_spaced(len(left_files), rate_hz or SIMULATED_RATE_HZ)
     poses = path / version.poses
-    note = f"no file has times: {rate_hz or SIMULATED_RATE_HZ:g} Hz, of --rate-hz"
+    note = rate_note(rate_hz)
     return StereoRecording(
         path=path,
         format="tartanair",

@@ -13,7 +13,7 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibrations.rectified_pair import Intrinsics, rectified_camera
-from probevo.sequences.format_options import SIMULATED_RATE_HZ
+from probevo.sequences.format_options import SIMULATED_RATE_HZ, rate_note
 from probevo.sequences.images import list_pairs, read_gray
 from probevo.sequences.poses import ground_truth
 from probevo.sequences.recording import StereoRecording
@@ -64,7 +64,7 @@ def open_virtual_kitti(path: Path, *, rate_hz: float | None = None) -> StereoRec
         left_files=left_files,
         right_files=right_files,
         truth=ground_truth(stamps_ns, se3.inverse(T_cam_world[0]), where),
-        notes=(("times", f"no file has times: {rate:g} Hz, of --rate-hz"),),
+        notes=(("times", rate_note(rate_hz)),),
     )
 
 
