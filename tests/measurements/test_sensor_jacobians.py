@@ -16,7 +16,8 @@ from probevo.measurements.base import (
 )
 from probevo.measurements.direction import Direction, of_azimuth_and_zenith, tangent_axes
 from probevo.measurements.heading import Heading
-from probevo.measurements.north import LEVEL, NORTH, attitude_of_enu
+from probevo.measurements.north import LEVEL, NORTH, ORIGIN, attitude_of_enu
+from probevo.measurements.position import Position
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.travelled_distance import TravelledDistance
 
@@ -31,6 +32,7 @@ def random_measurements(rng: np.random.Generator) -> list[VectorMeasurement]:
     return [
         Heading(POSE, rng.uniform(-3.0, 3.0), 0.1),
         Heading(POSE, rng.uniform(-3.0, 3.0), 0.1, north=NORTH),
+        Position(POSE, rng.normal(size=3), np.eye(3), lever_m=rng.normal(size=3)),
         TravelledDistance(1.2, 0.1, POSE, axis=axis),
         TravelledDistance(1.2, 0.1, POSE, PREV, axis=axis),
         RelativePose(se3.exp(rng.normal(size=6)), np.eye(6), POSE),
@@ -45,6 +47,7 @@ def test_jacobians_are_central_differences(seed: int) -> None:
         PREV: se3.exp(rng.normal(size=6)),
         POSE: se3.exp(rng.normal(size=6)),
         NORTH: rng.normal(scale=[0.3, 0.3, 2.0]),
+        ORIGIN: rng.normal(size=3),
     }
     for measurement in random_measurements(rng):
         numeric = numeric_jacobians(measurement, values)

@@ -31,6 +31,7 @@ from scipy.special import chdtrc, chdtri
 
 from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -42,7 +43,8 @@ from probevo.measurements.base import (
     bounded_weight,
     large_residual_threshold,
 )
-from probevo.measurements.north import NORTH
+from probevo.measurements.north import NORTH, ORIGIN
+from probevo.measurements.position import VAGUENESS, Position
 from probevo.measurements.sensor import Reading
 
 GATE_TAIL = 1e-4
@@ -286,10 +288,7 @@ def _tested(
     """
     if not measurements:
         return _Tested(pose_filter, (), ())
-    # The attitude against north becomes a state with the first measurement that needs it.
-    if pose_filter.slice_of(NORTH) is None and any(NORTH in one.variables for one in measurements):
-        mean, cov = _prior_of(north)
-        pose_filter = pose_filter.with_state(NORTH, mean, cov)
+    pose_filter = _with_world_states(pose_filter, measurements, pose, north)
     kept: list[Measurement] = []
     squares: list[float | None] = []
     weights: list[float] = []
@@ -310,6 +309,37 @@ def _tested(
         squares.append(squared)
         weights.append(weight)
     return _Tested(pose_filter.updated(kept, pose), tuple(squares), tuple(weights))
+
+
+def _with_world_states(
+    pose_filter: PoseFilter,
+    measurements: Sequence[Measurement],
+    pose: Variable,
+    north: NorthConfig,
+) -> PoseFilter:
+    """Return the filter with the states of the world that the measurements need: they become states
+    with the first one.
+
+    Raises:
+        InputError: positions are measured, and the heading of the first camera is unknown.
+    """
+    needed = {variable for one in measurements for variable in one.variables}
+    if NORTH in needed and pose_filter.slice_of(NORTH) is None:
+        mean, cov = _prior_of(north)
+        pose_filter = pose_filter.with_state(NORTH, mean, cov)
+    if ORIGIN in needed and pose_filter.slice_of(ORIGIN) is None:
+        if north.heading_deg is None:
+            raise InputError(
+                "north.heading_deg",
+                "positions are measured, and the heading of the first camera is unknown.",
+                "Give it with its heading_sigma_deg, such as the course of the first fixes.",
+            )
+        values = pose_filter.values(pose)
+        first = next(one for one in measurements if isinstance(one, Position))
+        pose_filter = pose_filter.with_state(
+            ORIGIN, first.origin_m(values), VAGUENESS**2 * first.covariance
+        )
+    return pose_filter
 
 
 def _prior_of(north: NorthConfig) -> tuple[FloatArray, FloatArray]:
@@ -351,6 +381,7 @@ def _tested_with_offset(
         pose: the pose of the frame.
         north: prior of the attitude of the world against north.
     """
+    pose_filter = _with_world_states(pose_filter, [*measurements, *others], pose, north)
     offset: list[WithOffset] = []
     for variable, measurement in _with_offsets(measurements):
         at = pose_filter.slice_of(variable)

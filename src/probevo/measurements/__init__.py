@@ -13,6 +13,7 @@ from probevo.measurements.direction import Direction
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.position import Position
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement
 from probevo.measurements.stereo_observations import StereoObservations
@@ -28,6 +29,7 @@ __all__ = [
     "NoMeasurement",
     "Outcome",
     "PosePrior",
+    "Position",
     "RelativeRotation",
     "StereoObservations",
     "TravelledDistance",

@@ -1,4 +1,4 @@
-"""The attitude of the world, which is the first camera, against the horizon and north."""
+"""The world, which is the first camera, against the horizon and north, and where it is."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from probevo.measurements.base import Variable
 NORTH = Variable(kind="north", frame=0)
 """Its value is (tilt about east, tilt about north, heading), [3], rad: the first camera's heading,
 clockwise from north, and by how much it is not level. Plain addition moves it."""
+ORIGIN = Variable(kind="origin", frame=0)
+"""Its value is the position of the first camera in east, north and up, [3], m. Plain addition moves
+it."""
+WORLD_STATES = frozenset({NORTH, ORIGIN})
+"""What is estimated of the world, which is the first camera, where a measurement needs it."""
 LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """C_world_enu of a level first camera that looks north: x is east, y down, z north."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement, Values, Variable, VectorMeasurement, pose_of
-from probevo.measurements.north import NORTH
+from probevo.measurements.north import WORLD_STATES
 from probevo.measurements.relative import RelativeMeasurement
 from probevo.sequences.frame import Frame
 
@@ -45,13 +45,15 @@ class Reading:
     """Whether the measurement replaces the motion of the images."""
 
     def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
-        """Return the measurements of this pose alone, or of it and north."""
-        return tuple(one for one in self.measurements if {pose, NORTH} >= set(one.variables))
+        """Return the measurements of this pose alone, or of it and the world's states."""
+        own = {pose, *WORLD_STATES}
+        return tuple(one for one in self.measurements if own >= set(one.variables))
 
     def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the others, which also depend on the previous pose, with a bounded loss: a wrong
         one has no influence on the solve."""
-        others = (one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
+        own = {pose, *WORLD_STATES}
+        others = (one for one in self.measurements if not own >= set(one.variables))
         return tuple(one.bounded() if isinstance(one, VectorMeasurement) else one for one in others)
 
     def without_motion(self, pose: Variable) -> Reading:
@@ -98,7 +100,9 @@ def _is_finite(measurement: Measurement) -> bool:
         return True
     # Any poses will do, if no motion between them is special.
     values: Values = {
-        variable: np.full(3, 0.1) if variable == NORTH else se3.exp(0.1 * k * np.arange(1.0, 7.0))
+        variable: np.full(3, 0.1)
+        if variable in WORLD_STATES
+        else se3.exp(0.1 * k * np.arange(1.0, 7.0))
         for k, variable in enumerate(measurement.variables, start=1)
     }
     return bool(np.isfinite(measurement.residual(values)).all())
@@ -118,11 +122,11 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
         what = f"at frame {frame.index} it measured the pose of frame {frames}."
         cure = "Measure that of the current frame, alone or together with that of the previous one."
         raise InputError(where, what, cure)
-    others = [one for one in measurement.variables if one != NORTH and one not in poses]
+    others = [one for one in measurement.variables if one not in WORLD_STATES and one not in poses]
     if others:
         what = f"at frame {frame.index} it measured {others[0]}."
         raise InputError(where, what, "Measure poses of the camera, and north.")
-    if len(poses) > 1 and NORTH in measurement.variables:
+    if len(poses) > 1 and WORLD_STATES & set(measurement.variables):
         # The solve of a motion is along the axes of the previous camera, and knows no north.
         what = f"at frame {frame.index} it measured north together with the previous pose."
         cure = (

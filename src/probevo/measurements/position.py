@@ -1,0 +1,91 @@
+"""The position of the camera, as from a satellite receiver."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.geometry import se3, so3
+from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.north import NORTH, ORIGIN, attitude_of_enu, jacobian_of_enu
+
+VAGUENESS = 1e3
+"""Standard deviation of the first camera's position before the first fix, in those of the fix."""
+
+
+class Position(VectorMeasurement):
+    """A measured position in east, north and up, of an antenna that is fixed to the camera.
+
+    Where the first camera is, and how it looks against north, is estimated with the pose
+    (``ORIGIN``, ``NORTH``). Its heading must be known to some degrees (``north.heading_deg``), as
+    from the course of the first fixes: with an unknown one, the first metres of a path would
+    determine it, to which the fixes are far too coarse.
+
+    Args:
+        pose: pose of the camera.
+        position_m: east, north and up from any fixed point, [3], m.
+        covariance: [3, 3], m².
+        lever_m: the antenna in the camera's frame, [3], m.
+
+    Raises:
+        InputError: a position or a lever is not a vector [3], or the covariance not positive
+            definite.
+    """
+
+    def __init__(
+        self,
+        pose: Variable,
+        position_m: FloatArray,
+        covariance: FloatArray,
+        *,
+        lever_m: FloatArray | None = None,
+    ) -> None:
+        super().__init__(covariance, dim=3)
+        self.pose = pose
+        self.position_m = _vector(position_m, "position_m")
+        self.lever_m = np.zeros(3) if lever_m is None else _vector(lever_m, "lever_m")
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The pose, the attitude of the world against north, and the position of the first
+        camera."""
+        return (self.pose, NORTH, ORIGIN)
+
+    def residual(self, values: Values) -> FloatArray:
+        """Return measured minus predicted position, [3], m."""
+        residual: FloatArray = self.position_m - values[ORIGIN] - self._from_origin(values)
+        return residual
+
+    def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
+        """Return ∂e/∂ξ of the pose, [3, 6], and those of north and of the origin, [3, 3] each."""
+        C_enu_world = attitude_of_enu(values[NORTH]).T
+        # T_world_cam Exp(−ξ) moves the antenna l by C_world_cam (−ρ + l^ φ).
+        C_enu_cam = C_enu_world @ values[self.pose][:3, :3].T
+        of_pose = np.hstack([C_enu_cam, -C_enu_cam @ so3.wedge(self.lever_m)])
+        # d = C_enu_world p with p fixed: 0 = ∂C_world_enu d + C_world_enu ∂d.
+        moved = jacobian_of_enu(values[NORTH], self._from_origin(values))
+        return of_pose, C_enu_world @ moved, -np.eye(3)
+
+    def origin_m(self, values: Values) -> FloatArray:
+        """Return where the first camera is by this measurement alone, [3], m."""
+        origin: FloatArray = self.position_m - self._from_origin(values)
+        return origin
+
+    def _from_origin(self, values: Values) -> FloatArray:
+        """Return the antenna from the first camera in east, north and up, [3], m."""
+        in_world = se3.transform(se3.inverse(values[self.pose]), self.lever_m[None])[0]
+        from_origin: FloatArray = attitude_of_enu(values[NORTH]).T @ in_world
+        return from_origin
+
+
+def _vector(values: FloatArray, name: str) -> FloatArray:
+    """Return a vector [3] as an array; NaN stands for a receiver without a fix.
+
+    Raises:
+        InputError: it has another shape.
+    """
+    vector = np.asarray(values, dtype=np.float64)
+    if vector.shape != (3,):
+        raise InputError(f"Position: {name}", f"its shape is {vector.shape}, where [3] is needed.")
+    return vector
