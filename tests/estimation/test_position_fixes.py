@@ -12,6 +12,7 @@ from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements import NORTH, Position, pose_of
 from probevo.measurements.north import ORIGIN, attitude_of_enu
+from probevo.measurements.sensor import Sensor
 from worlds import CAMERA, FORWARD, drive
 
 LEVER_M = np.array([0.2, -1.1, -0.5])
@@ -21,7 +22,7 @@ SIGMA_M = 0.3
 STEPS = 40
 
 
-def receiver(rng: np.random.Generator, sigma_m: float = SIGMA_M) -> pv.odometry.Sensor:
+def receiver(rng: np.random.Generator, sigma_m: float = SIGMA_M) -> Sensor:
     """Return a sensor that measures where the antenna is, with noise."""
     north = np.array([0.02, -0.01, HEADING_RAD])
     noise = sigma_m * rng.normal(size=(STEPS + 1, 3))

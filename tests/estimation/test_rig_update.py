@@ -14,6 +14,7 @@ from probevo.camera.rig_calibration import (
     RigCalibration,
     disparity_basis,
 )
+from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.transfer import transfer
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.rig_update import calibration_sensitivity, update_rig
@@ -380,3 +381,29 @@ def test_features_that_a_loss_has_rejected_teach_nothing() -> None:
     after, common_mode = update_rig(rig, tracks, nothing, CAMERA)
     assert after is rig
     np.testing.assert_array_equal(common_mode.columns, 0.0)
+
+
+def test_a_rig_that_stands_teaches_no_more_than_a_few_frames() -> None:
+    """Features repeat their errors, and the rig one flexure, for 200 frames: driving on, rows and
+    jitter are learned as if it had stood for a moment."""
+    rng = np.random.default_rng(20)
+    clean = seen_twice(rng, 200)
+    standing = replace(clean, curr_px=clean.prev_px + 0.01)
+    noisy = with_noise(rng, standing, np.array([0.0, 0.3, 0.0, 0.3]))
+    noisy = replace(noisy, prev_px=noisy.curr_px - 0.01)
+    rig = RigCalibration.initial()
+    first = None
+    for _ in range(200):
+        rig = rig.with_rows(noisy.curr_px, CAMERA, novelty=noisy.novelty)
+        first = first or rig
+        corrected = noisy.corrected(rig, CAMERA)
+        noise = replace(StudentT().predict(np.zeros((len(noisy), 0))), jitter_cov=rig.jitter.cov)
+        observations = StereoObservations.of(
+            corrected.prev_px, corrected.curr_px, noise, camera=CAMERA
+        )
+        rig, _ = update_rig(
+            rig, corrected, solve_reprojection(observations, guess=np.eye(4)), CAMERA
+        )
+    assert first is not None
+    assert sigma_of(rig.rows_information)[0] > 0.9 * sigma_of(first.rows_information)[0]
+    np.testing.assert_allclose(rig.jitter.sigma_rad, RigJitter.initial().sigma_rad, rtol=0.05)
