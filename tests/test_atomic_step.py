@@ -251,7 +251,7 @@ class Stage:
 STAGES = {
     "validation": Stage("probevo.odometry", "validated", first=0),
     "gyro bias prediction": Stage("probevo.measurements.gyro:GyroBias", "predicted"),
-    "gyro integration": Stage("probevo.state", "integrate_gyro"),
+    "gyro integration": Stage("probevo.prediction", "integrate_gyro"),
     "motion prediction": Stage("probevo.estimation.motion_model:MotionModel", "predict"),
     "image preparation": Stage(
         "probevo.tracking.preparation", "strongest_corners", content="images", first=0
@@ -284,7 +284,7 @@ STAGES = {
     "solve from two frames": Stage("probevo.estimation.visual_motion", "evaluated_at"),
     "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
     "rig update": Stage("probevo.estimation.self_calibration", "update_rig"),
-    "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated_by_independent_solve"),
+    "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated_by_joint_solve"),
     "motion model": Stage("probevo.estimation.motion_model:MotionModel", "after_solve"),
     "dead reckoning": Stage(
         "probevo.estimation.motion_model:MotionModel", "dead_reckoned", is_blind=True

@@ -9,6 +9,7 @@ import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.prediction import predict
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
@@ -59,7 +60,7 @@ def test_the_gyro_is_an_alternative_until_it_has_been_tested(
     for k, frame in enumerate(frames):
         if k > 1:
             assert odometry.state is not None
-            first = odometry.state.predict(frame, recording.imu).motion
+            first = predict(odometry.state, frame, recording.imu).motion
             second = first.alternative
             assert second is not None
             C_curr_prev = (se3.inverse(truth[k]) @ truth[k - 1])[:3, :3]

@@ -37,6 +37,7 @@ from probevo.measurements.sensor import Sensor
 from probevo.measurements.sensor_suite import SensorSuite
 from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
+from probevo.prediction import Prediction, motion_for_window, predict
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import (
     as_camera,
@@ -52,7 +53,7 @@ from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
 from probevo.stages import Measured, Observed, Solved
-from probevo.state import OdometryState, Prediction, StepFeatures, motion_for_window
+from probevo.state import OdometryState, StepFeatures
 from probevo.tracking import Tracked, TrackingState, Tracks, tracker_for
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.last_residuals import LastResiduals
@@ -125,7 +126,7 @@ class StereoOdometry:
         if state.last_usable is not None:
             check_memory(state.last_usable.state.frame, frame)
         clock = StageClock(decode=frame.decode_ms)
-        prediction = state.predict(frame, self.imu)  # from last velocity and gyro
+        prediction = predict(state, frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
         measured = self._measure(prediction, observed, clock)  # measurements/: gyro, other sensors
         # noise/, estimation/: φ → R → motion

@@ -11,7 +11,8 @@ from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.visual_motion import VisualMotion
 from probevo.measurements.base import Measurement
 from probevo.measurements.sensor import Reading
-from probevo.state import Prediction, StepFeatures
+from probevo.prediction import Prediction
+from probevo.state import StepFeatures
 from probevo.tracking import Tracked, Tracks
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.observations import FrameObservations
