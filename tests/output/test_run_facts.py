@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
+import probevo as pv
 from probevo.camera.focal_length import FocalLengthError
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.output.run_facts import (
     delay_text,
     feature_noise_text,
     focal_text,
     imu_noise_text,
+    unused_imu_text,
 )
+from probevo.output.run_result import RunRecorder
 
 
 @pytest.mark.parametrize(
@@ -38,3 +42,19 @@ def test_noise_of_the_features_in_words() -> None:
     assert feature_noise_text(np.array([1.0, 0.9, 1.2])) == "as the noise model says"
     text = feature_noise_text(np.array([1.0, 0.25, 0.25]))
     assert text.startswith("0.50 times as large as the noise model says")
+
+
+def test_why_the_imu_was_not_used_is_counted() -> None:
+    recorder = RunRecorder()
+    faults = [None, ImuFault.HOLE, ImuFault.GATED, ImuFault.HOLE, None]
+    for frame, fault in enumerate(faults):
+        motion = pv.MotionEstimate(
+            np.eye(4),
+            np.eye(6),
+            pv.Status.OK if frame else pv.Status.FIRST,
+            num_tracks=0,
+            imu_reason=None if fault is None else ImuReason(fault, "…"),
+        )
+        recorder.add(frame, motion, imu_is_in_window=True)
+    assert unused_imu_text(recorder.result()) == "not used in 3 of 4 steps (2 hole, 1 gated)"
+    assert unused_imu_text(RunRecorder().result()) == ""

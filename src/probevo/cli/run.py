@@ -203,7 +203,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text
     from probevo.output.headline import headline_drift
-    from probevo.output.run_facts import delay_text, focal_text, jitter_text
+    from probevo.output.run_facts import delay_text, focal_text, jitter_text, unused_imu_text
     from probevo.output.table import readable
 
     result = run.result
@@ -228,9 +228,9 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
 
-    without_imu = result.unusable.get("steps_without_imu", 0)
-    if without_imu and len(result) > 1:
-        lines.append(f"IMU: not used in {without_imu} of {len(result) - 1} steps")
+    without_imu = unused_imu_text(result)
+    if without_imu:
+        lines.append(f"IMU: {without_imu}")
     if result.jitter_sigma_rad is not None and Status.OK in result.status:
         lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):

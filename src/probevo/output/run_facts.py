@@ -14,8 +14,9 @@ from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import path_length
+from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_text
-from probevo.output.run_result import RunResult
+from probevo.output.run_result import STEPS_WITHOUT_IMU, RunResult
 from probevo.output.table import readable
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
@@ -134,6 +135,19 @@ def field_of_view_deg(camera: StereoCamera) -> float:
     return math.degrees(
         math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px)
     )
+
+
+def unused_imu_text(result: RunResult) -> str:
+    """Return in how many steps the window did not use its IMU, and why; empty if it always did."""
+    num_unused = result.unusable.get(STEPS_WITHOUT_IMU, 0)
+    if not num_unused:
+        return ""
+    by_fault = [
+        (result.unusable.get(f"{STEPS_WITHOUT_IMU}_{fault.value}", 0), fault) for fault in ImuFault
+    ]
+    most_first = sorted(by_fault, key=lambda counted: -counted[0])
+    reasons = [f"{count} {fault.value.replace('_', ' ')}" for count, fault in most_first if count]
+    return f"not used in {num_unused} of {len(result) - 1} steps ({', '.join(reasons)})"
 
 
 def jitter_text(sigma_rad: FloatArray) -> str:

@@ -31,6 +31,9 @@ from probevo.output.rows import Rows
 
 _COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
 """Where the common-mode part lies in what a recorder keeps of a step."""
+STEPS_WITHOUT_IMU = "steps_without_imu"
+"""Name of the steps without an IMU in ``RunResult.unusable``; with the fault behind it, of those
+that it caused."""
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
 
@@ -379,7 +382,8 @@ class RunRecorder:
         self._rejected.update(rejected or {})
         self._imu.add(len(self._counts) - 1, motion.imu_reason, is_in_window=imu_is_in_window)
         if motion.imu_reason is not None:
-            self._unusable["steps_without_imu"] += 1
+            self._unusable[STEPS_WITHOUT_IMU] += 1
+            self._unusable[f"{STEPS_WITHOUT_IMU}_{motion.imu_reason.fault.value}"] += 1
         for text in motion.missing:
             # "3 of 20 IMU samples without …" becomes imu_samples_without_…
             count, _, _, what = text.split(" ", 3)
