@@ -890,7 +890,9 @@ def test_a_learned_model_gets_its_columns(exponent: float, same: bool) -> None:
 )
 def test_predictors_unlike_those_of_the_model_are_refused(names: list[str]) -> None:
     """Other ones, or the same in another order: the model would take one for the other."""
-    with pytest.raises(InputError, match="trained on x, y, row_offset, in this order, but gets"):
+    with pytest.raises(
+        InputError, match="columns are x, y, row_offset, in this order, but it gets"
+    ):
         pv.StereoOdometry(
             CAMERA, model_of(["x", "y", "row_offset"]), predictors=prediction_space(names)
         )

@@ -43,6 +43,7 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
 
 def test_a_tenth_of_steps_without_a_solve_is_said() -> None:
     lost = Status.TOO_FEW_TRACKS
+    assert unsolved_warning(np.array([], np.int64)) is None
     assert unsolved_warning(np.array([Status.OK] * 19 + [lost])) is None
     assert unsolved_warning(np.array([Status.OK] * 9 + [Status.RECOVERED])) is None
     assert unsolved_warning(np.array([Status.OK] * 4 + [lost] * 6)) is None  # said otherwise

@@ -91,7 +91,7 @@ def unsolved_warning(status: IntArray) -> str | None:
     is_solved = (status == Status.OK) | (status == Status.RECOVERED)
     num_unsolved = int(np.sum(~is_solved))
     is_usable = np.sum(status == Status.OK) >= FEWEST_OK * len(status)
-    if not is_usable or num_unsolved < MOST_UNSOLVED * len(status):
+    if not is_usable or num_unsolved < max(1, MOST_UNSOLVED * len(status)):
         return None
     return (
         f"{num_unsolved:,} of {len(status):,} steps are dead-reckoned; the covariance says how"
@@ -112,7 +112,7 @@ def _usual_cause(status: IntArray) -> str:
 
 def repetition_warning(num_repeated: int, num_frames: int) -> str | None:
     """Warn if the images of so many frames repeat those before that it is no chance; else None."""
-    if num_repeated < MOST_REPEATED * num_frames:
+    if num_repeated < max(1, MOST_REPEATED * num_frames):
         return None
     return (
         f"The images of {num_repeated:,} of {num_frames:,} frames are those of the frame before, as"
