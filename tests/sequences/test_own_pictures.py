@@ -176,6 +176,25 @@ def test_a_rate_beside_times_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("numbers", "counted"),
+    [
+        ((3, 4, 5, 8), (0, 1, 2, 5)),
+        ((0, 10, 20, 30), (0, 1, 2, 3)),
+    ],
+    ids=["two lost frames", "every tenth frame"],
+)
+def test_a_number_that_is_left_out_is_a_lost_frame(
+    numbers: tuple[int, ...], counted: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = without_times(tmp_path)
+    for side in ("left", "right"):
+        for index, number in reversed(list(enumerate(numbers))):
+            (path / side / f"{index:06d}.png").rename(path / side / f"{number:06d}.png")
+    stamps_ns = open_sequence(path, rate_hz=10.0).stamps_ns
+    np.testing.assert_array_equal(stamps_ns, 100_000_000 * np.array(counted))
+
+
+@pytest.mark.parametrize(
     ("steps", "rate_hz", "fragment"),
     [
         ((1, 1, 1), 20.0, r"are 0\.1 s apart \(10 Hz\)\.(?s:.*)Leave out --rate-hz"),

@@ -182,6 +182,10 @@ def _draw_quantities(
     colors = [ORANGE if quantity in marked else BLUE for quantity in quantities]
     axes.axvspan(-largest_z, largest_z, color=BAND, alpha=0.6, linewidth=0.0)
     axes.barh(places, shown, height=0.6, color=colors)
+    for place, of_bar, of_quantity in zip(places, shown, z, strict=True):
+        if of_bar != of_quantity:
+            side = "right" if of_bar > 0.0 else "left"
+            axes.text(of_bar, place, f"{of_quantity:.0f} ", ha=side, va="center", fontsize=7.0)
     axes.set_yticks(places, [quantity.name for quantity in quantities], fontsize=7.5)
     axes.set_xlim(-4.2 * largest_z, 4.2 * largest_z)
     axes.grid(visible=False, axis="y")

@@ -28,6 +28,8 @@ RATE_TOLERANCE = 0.1
 cheap clock differ by less, a wrong rate by more."""
 GAP_FACTOR = 1.5
 """An interval longer than this many median ones is a gap."""
+MOST_DIGITS_OF_COUNT = 9
+"""Longer numbers are no counts of frames."""
 
 
 def read_times(path: Path, count: int) -> IntArray:
@@ -101,6 +103,22 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
 def evenly_spaced(count: int, rate_hz: float) -> IntArray:
     """Return the times of frames that are equally spaced, from zero, [count], ns."""
     return np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def spaced_by_number(files: list[Path], rate_hz: float) -> IntArray:
+    """Return the times of frames at a rate, from zero, [K], ns, where some may be missing.
+
+    Where the names are numbers that mostly count by one, a number that is left out is a lost frame.
+    Any other names say nothing of the time, and the frames are equally spaced.
+    """
+    names = [file.stem for file in files]
+    numbers = np.arange(len(files))
+    if all(name.isdecimal() and len(name) <= MOST_DIGITS_OF_COUNT for name in names):
+        counted = np.array([int(name) for name in names])
+        counts_by_one = len(files) > 1 and np.median(np.diff(counted)) == 1.0
+        if counts_by_one and (np.diff(counted) > 0).all():
+            numbers = counted - counted[0]
+    return np.round(numbers * (1e9 / rate_hz)).astype(np.int64)
 
 
 def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path) -> None:

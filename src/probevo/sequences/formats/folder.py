@@ -46,8 +46,8 @@ from probevo.sequences.stamp_pairs import pair_stamps
 from probevo.sequences.stamps import (
     check_rate,
     check_stamps,
-    evenly_spaced,
     read_times,
+    spaced_by_number,
     stamps_of_names,
 )
 from probevo.sequences.text import read_stamped_csv
@@ -249,7 +249,7 @@ def _list_pictures(path: Path, options: FolderOptions) -> _Pictures:
     if rate_hz is None:
         stamps_ns = read_times(times, len(left_files))
     else:
-        stamps_ns = evenly_spaced(len(left_files), rate_hz)
+        stamps_ns = spaced_by_number(left_files, rate_hz)
     return _Pictures(stamps_ns, left_files, right_files)
 
 
