@@ -45,9 +45,9 @@ class FurtherState:
 class UncorrectedPath:
     """The pose as it would be without the measurements that have corrected it.
 
-    How the error of a step depends on that of the path before it is known of this path, of error w
-    (``MotionEstimate.path_cross_cov``). The corrected pose and the further states have the error K
-    w + n, where n does not depend on w.
+    Its error is w. How the error of a step depends on that of the path before it is known for this
+    path (``MotionEstimate.path_cross_cov``). Corrected pose and further states have the error
+    K w + n, where n is independent of w and of the steps to come.
     """
 
     pose: PoseFilter
