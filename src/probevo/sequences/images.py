@@ -48,7 +48,10 @@ def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
             f"the partner of {folder.name}/{name} is missing"
             f" ({left.name} has {len(left_files)} images, {right.name} {len(right_files)})."
         )
-        cure = "Left and right images must have the same names."
+        cure = (
+            "Left and right images must have the same names. Remove those without a partner, with"
+            " their lines of times and poses; images that are named by their stamps need no times."
+        )
         raise InputError(other / name, what, cure)
     return list(left_files.values()), list(right_files.values())
 
