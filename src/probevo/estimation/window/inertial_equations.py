@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.estimation.window.equations import POSE, RIG, WindowEquations
 from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
 from probevo.estimation.window.window import MarginalPrior, Window
@@ -149,7 +150,7 @@ def inertial_system(
     diagonal = np.diagonal(inertial)
     unmeasured = np.flatnonzero(diagonal < LEAST_INFORMATION)
     inertial[unmeasured, unmeasured] = LEAST_INFORMATION
-    own = inverse_of(inertial)
+    own = scaled_inverse(inertial)
     return InertialSystem(
         cost=cost, hessian=hessian, gradient=gradient, gain=own @ hessian[p:, :p], own=own
     )
@@ -398,17 +399,6 @@ def _products(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return products
 
 
-def inverse_of(matrix: FloatArray) -> FloatArray:
-    """Invert a symmetric positive definite matrix whose units differ widely.
-
-    Raises:
-        numpy.linalg.LinAlgError: it is singular.
-    """
-    scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    inverse: FloatArray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
-    return 0.5 * (inverse + inverse.T)
-
-
 def without_first_frame(
     states: InertialStates, others: WindowEquations, system: InertialSystem, x: FloatArray
 ) -> tuple[MarginalPrior, InertialStates]:
@@ -438,7 +428,7 @@ def without_first_frame(
     gone = hessian[np.ix_(goes, goes)]
     unmeasured = np.flatnonzero(np.diagonal(gone) < LEAST_INFORMATION)
     gone[unmeasured, unmeasured] = LEAST_INFORMATION
-    gain = inverse_of(gone) @ hessian[np.ix_(goes, ~goes)]
+    gain = scaled_inverse(gone) @ hessian[np.ix_(goes, ~goes)]
     rest = hessian[np.ix_(~goes, ~goes)] - hessian[np.ix_(~goes, goes)] @ gain
     rest = 0.5 * (rest + rest.T)
     # η' = η_r − Λ_rg Λ_gg⁻¹ η_g.

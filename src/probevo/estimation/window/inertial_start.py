@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.estimation.window.equations import POSE, RIG
-from probevo.estimation.window.inertial_equations import inverse_of, linearized
+from probevo.estimation.window.inertial_equations import linearized
 from probevo.estimation.window.inertial_states import STATE, InertialStates, at_start
 from probevo.estimation.window.window import Window
 from probevo.measurements.imu_reason import ImuFault, ImuReason
@@ -147,7 +148,7 @@ def fit_inertial_states(
         # One Gauss–Newton step under the prior Λ of the biases, with the white design D and
         # residual r: (Dᵀ D + Λ)⁻¹ (−Dᵀ r − Λ x). What then remains of r is χ² distributed, prior
         # included.
-        cov = inverse_of(white_design.T @ white_design + prior)
+        cov = scaled_inverse(white_design.T @ white_design + prior)
         values = np.concatenate([velocity.ravel(), bias, gravity])
         step = -cov @ (white_design.T @ white_residual + prior @ _bias_only(values, of_bias))
         remaining = white_residual + white_design @ step
