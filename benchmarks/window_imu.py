@@ -88,7 +88,7 @@ def run(
             frame = replace(frame, left=black, right=black)
         estimate = odometry.step(frame if imu is not None else replace(frame, imu=None))
         num_ok += estimate.status is pv.Status.OK
-        said |= dict.fromkeys(text for text in estimate.missing if "IMU" in text)
+        said |= dict.fromkeys(text for text in map(str, estimate.missing) if "IMU" in text)
         if estimate.imu_left_out:
             said[f"the IMU {estimate.imu_left_out}"] = None
         poses.append(estimate.T_world_cam)

@@ -37,6 +37,7 @@ from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
+from probevo.sequences.missing_data import Defect, MissingData
 from probevo.state import OdometryState
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_features
 
@@ -465,8 +466,8 @@ def replaced(frames: Sequence[Frame], k: int, frame: Frame) -> list[Frame]:
     return [*frames[:k], frame, *frames[k + 1 :]]
 
 
-NO_FORCE = "1 of 21 IMU samples without a finite specific force"
-NO_RATE = "1 of 21 IMU samples without a finite angular rate"
+NO_FORCE = MissingData(Defect.FORCE_NOT_FINITE, 1, 21)
+NO_RATE = MissingData(Defect.RATE_NOT_FINITE, 1, 21)
 
 
 def test_a_specific_force_that_is_not_finite_is_missing_data() -> None:
@@ -539,7 +540,7 @@ def test_a_gyro_without_any_finite_rate_is_a_gap_of_the_imu() -> None:
         odometry_of("features"),
         replaced(drive.frames, k, replace(drive.frames[k], imu=None)),
     )
-    assert found[k].missing == ("21 of 21 IMU samples without a finite angular rate",)
+    assert found[k].missing == (MissingData(Defect.RATE_NOT_FINITE, 21, 21),)
     assert found[k].status is pv.Status.OK
     for estimate, other in zip(found, gap, strict=True):
         assert_same_bytes(replace(estimate, missing=()), other)

@@ -12,6 +12,7 @@ from probevo.estimation.visual_motion import VisualMotion
 from probevo.measurements.base import Measurement
 from probevo.measurements.sensor import Reading
 from probevo.prediction import Prediction
+from probevo.sequences.missing_data import Defect, MissingData
 from probevo.state import StepFeatures
 from probevo.tracking import Tracked, Tracks
 from probevo.tracking.corrected_tracks import CorrectedTracks
@@ -36,10 +37,11 @@ class Observed:
     """Whether they do not change, and the camera need not rest for all that."""
 
     @property
-    def missing(self) -> tuple[str, ...]:
-        """What the frame lacks, in words, as of ``MotionEstimate``."""
-        repeats = self.is_frozen or self.may_be_frozen
-        return ("1 of 1 frames whose images repeat those before",) if repeats else ()
+    def missing(self) -> tuple[MissingData, ...]:
+        """What tracking has found that the frame lacks."""
+        if self.is_frozen or self.may_be_frozen:
+            return (MissingData(Defect.REPEATED_IMAGES, 1, 1),)
+        return ()
 
 
 @dataclass(frozen=True)

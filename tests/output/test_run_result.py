@@ -6,6 +6,7 @@ import pytest
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
 from probevo.output.run_result import RunRecorder, RunResult
+from probevo.sequences.missing_data import Defect, MissingData
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 30])
@@ -125,11 +126,12 @@ def test_faults_are_counted_by_name() -> None:
     """Two frames lost, a step that was not solved, and samples that could not be used."""
     recorder = RunRecorder()
     cov = np.eye(6)
-    texts = ("3 of 20 IMU samples without a finite angular rate", "1 of 9 features beyond 1e6")
+    rates = MissingData(Defect.RATE_NOT_FINITE, 3, 20)
+    missing = (rates, MissingData(Defect.PIXEL_TOO_LARGE, 1, 9))
     motions = [
         MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0),
-        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=texts),
-        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=texts[:1]),
+        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=missing),
+        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=(rates,)),
         MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9),
         MotionEstimate(np.eye(4), cov, Status.TOO_FEW_TRACKS, num_tracks=0),
     ]
@@ -139,7 +141,7 @@ def test_faults_are_counted_by_name() -> None:
         "lost_frames": 2,
         "steps_too_few_tracks": 1,
         "imu_samples_without_a_finite_angular_rate": 6,
-        "features_beyond_e": 1,
+        "features_with_implausible_pixels": 1,
     }
 
 

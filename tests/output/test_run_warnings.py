@@ -17,7 +17,6 @@ from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
 from probevo.output.run_result import RunRecorder
 from probevo.output.run_warnings import (
-    REPEATED,
     camera_warning,
     focal_warning,
     imu_warning,
@@ -29,6 +28,7 @@ from probevo.output.run_warnings import (
     truth_warning,
     unsolved_warning,
 )
+from probevo.sequences.missing_data import Defect, MissingData
 from worlds import CAMERA, FORWARD, drive
 
 
@@ -250,9 +250,9 @@ def test_images_that_repeat_are_counted() -> None:
     odometry = pv.StereoOdometry(CAMERA)
     for k, frame in enumerate(frames):
         motion = odometry.step(frame)
-        lacking = ("1 of 1 frames whose images repeat those before",) if k else ()
+        lacking = (MissingData(Defect.REPEATED_IMAGES, 1, 1),) if k else ()
         recorder.add(frame.stamp_ns, replace(motion, missing=lacking))
-    assert recorder.result().unusable[REPEATED] == 1
+    assert recorder.result().unusable[Defect.REPEATED_IMAGES.value] == 1
 
 
 def test_images_of_other_frames_are_named_with_the_cure() -> None:

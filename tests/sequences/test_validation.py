@@ -11,6 +11,7 @@ from probevo.arrays import AnyArray
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.missing_data import Defect, MissingData
 from probevo.sequences.validation import (
     LARGEST_FORCE_M_S2,
     LARGEST_PIXEL_PX,
@@ -158,9 +159,8 @@ def test_an_implausible_angular_rate_is_a_missing_sample(rate: float) -> None:
     found, missing = validated(frame(imu=imu), CAMERA, None)
     assert found.imu is not None
     np.testing.assert_array_equal(found.imu.stamps_ns, np.delete(imu.stamps_ns, 3))
-    what = "with an angular rate over 2000 rad/s" if np.isfinite(rate) else "without a finite"
-    assert len(missing) == 1
-    assert missing[0].startswith(f"1 of 11 IMU samples {what}")
+    defect = Defect.RATE_TOO_LARGE if np.isfinite(rate) else Defect.RATE_NOT_FINITE
+    assert missing == (MissingData(defect, 1, 11),)
     kept = usable_imu(frame(imu=imu))
     assert kept is not None
     np.testing.assert_array_equal(kept.stamps_ns, found.imu.stamps_ns)
@@ -173,9 +173,8 @@ def test_an_implausible_force_is_not_recorded(force: float) -> None:
     assert found.imu is not None
     assert np.isnan(found.imu.accel_m_s2[3]).all()
     assert np.isfinite(np.delete(found.imu.accel_m_s2, 3, axis=0)).all()
-    what = "with a specific force over 1e+06 m/s²" if np.isfinite(force) else "without a finite"
-    assert len(missing) == 1
-    assert missing[0].startswith(f"1 of 11 IMU samples {what}")
+    defect = Defect.FORCE_TOO_LARGE if np.isfinite(force) else Defect.FORCE_NOT_FINITE
+    assert missing == (MissingData(defect, 1, 11),)
 
 
 @pytest.mark.parametrize("rate", [1e300, 1e18, 1e5])
@@ -205,8 +204,9 @@ def test_an_implausible_feature_is_left_out(column: int, pixel: float) -> None:
             each = replace(each, features=replace(each.features, pixels=pixels))
         motion = odometry.step(each)
         assert motion.status is (pv.Status.FIRST if each.index == 0 else pv.Status.OK)
-        words = "beyond 1e+06" if np.isfinite(pixel) else "are not finite"
-        assert any(words in text for text in motion.missing) == (each.index == 2)
+        defect = Defect.PIXEL_TOO_LARGE if np.isfinite(pixel) else Defect.PIXEL_NOT_FINITE
+        expected = MissingData(defect, 1, len(each.features.ids))
+        assert motion.missing == ((expected,) if each.index == 2 else ())
 
 
 @pytest.mark.parametrize("column", range(4))

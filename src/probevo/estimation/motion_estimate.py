@@ -12,6 +12,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.measurements.imu_reason import ImuReason
+from probevo.sequences.missing_data import MissingData
 
 COMMON_MODE_COLUMNS = 10
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
@@ -91,8 +92,9 @@ class MotionEstimate:
     motions so far compounded, and corrected by measurements of the pose where there were any."""
     pose_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
-    missing: tuple[str, ...] = ()
-    """What the frame lacked, in words: samples that could not be used."""
+    missing: tuple[MissingData, ...] = ()
+    """What the frame lacked: samples, features and images that could not be used. Each is a phrase
+    as text, such as ``3 of 20 IMU samples without a finite angular rate``."""
     imu_reason: ImuReason | None = None
     """Why the window does not use its IMU in this step; None if it does, or if there is no IMU."""
     sensors: tuple[SensorOutcome, ...] = ()
@@ -117,7 +119,7 @@ class MotionEstimate:
         )
 
     @staticmethod
-    def first(missing: tuple[str, ...] = ()) -> MotionEstimate:
+    def first(missing: tuple[MissingData, ...] = ()) -> MotionEstimate:
         """Return the estimate of the first frame."""
         return MotionEstimate(
             T_curr_prev=np.eye(4),

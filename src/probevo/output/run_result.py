@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -163,8 +162,8 @@ class RunResult:
     ground_height: GroundHeight | None = None
     """Height of the camera above the ground by the images; None if that is not known."""
     unusable: dict[str, int] = field(default_factory=dict)
-    """Samples and features that could not be used, counted by what was wrong with them
-    (``MotionEstimate.missing``)."""
+    """Samples, features and images that could not be used, counted by what was wrong with them
+    (``Defect``)."""
     sensors: dict[str, SensorUse] = field(default_factory=dict)
     """Use of each further sensor, by name."""
 
@@ -384,10 +383,8 @@ class RunRecorder:
         if motion.imu_reason is not None:
             self._unusable[STEPS_WITHOUT_IMU] += 1
             self._unusable[f"{STEPS_WITHOUT_IMU}_{motion.imu_reason.fault.value}"] += 1
-        for text in motion.missing:
-            # "3 of 20 IMU samples without …" becomes imu_samples_without_…
-            count, _, _, what = text.split(" ", 3)
-            self._unusable[re.sub(r"[^a-z]+", "_", what.lower()).strip("_")] += int(count)
+        for missing in motion.missing:
+            self._unusable[missing.defect.value] += missing.count
         for outcome in motion.sensors:
             use = self._sensors.get(outcome.name, SensorUse())
             self._sensors[outcome.name] = use.and_then(outcome, len(self._counts) - 1)

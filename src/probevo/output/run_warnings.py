@@ -14,9 +14,8 @@ from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
+from probevo.sequences.missing_data import Defect
 
-REPEATED = "frames_whose_images_repeat_those_before"
-"""Name of these frames among those that are ``RunResult.unusable``."""
 MOST_REPEATED = 0.1
 """Share of them from which on it is said."""
 FEWEST_OK = 0.5
@@ -56,11 +55,12 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
     stopped = None
     if result.stopped:
         stopped = f"After {len(result):,} frames: {result.stopped}"
+    num_repeated = result.unusable.get(Defect.REPEATED_IMAGES.value, 0)
     warnings = {
         "Stopped before the end": stopped,
         "Few steps are OK": status_warning(result.status),
         "Some steps are not solved": unsolved_warning(result.status),
-        "Images repeat": repetition_warning(result.unusable.get(REPEATED, 0), len(result)),
+        "Images repeat": repetition_warning(num_repeated, len(result)),
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),

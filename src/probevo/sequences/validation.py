@@ -12,6 +12,7 @@ from probevo.errors import InputError
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame, check_order
 from probevo.sequences.gyro_spikes import find_spikes
+from probevo.sequences.missing_data import Defect, MissingData
 from probevo.sequences.text import INT64_LIMIT
 
 LARGEST_RATE_RAD_S = 2e3
@@ -24,7 +25,7 @@ LARGEST_PIXEL_PX = 1e6
 
 def validated(
     frame: Frame, camera: StereoCamera, prev_frame: Frame | None
-) -> tuple[Frame, tuple[str, ...]]:
+) -> tuple[Frame, tuple[MissingData, ...]]:
     """Check a frame, and leave out its unusable features and IMU samples.
 
     Features and angular rates that are not finite or implausibly large are left out, and so are
@@ -37,39 +38,38 @@ def validated(
         prev_frame: the previous frame, if there is one.
 
     Returns:
-        The usable frame, and what was left out of it, in words.
+        The usable frame, and what was left out of it.
 
     Raises:
         InputError: the frame cannot be used at all; see ``with_plain_arrays``, ``check_frame`` and
             ``check_order``.
     """
     frame = with_plain_arrays(frame)
-    missing: list[str] = []
+    missing: list[MissingData] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
         has_gyro = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
         if not has_gyro.all():
-            missing += _reasons(
+            missing += _left_out(
                 imu.gyro_rad_s,
-                not_finite="IMU samples without a finite angular rate",
-                too_large=f"IMU samples with an angular rate over {LARGEST_RATE_RAD_S:g} rad/s",
                 usable=has_gyro,
+                not_finite=Defect.RATE_NOT_FINITE,
+                too_large=Defect.RATE_TOO_LARGE,
             )
             imu = _kept(imu, has_gyro)
         is_spike = find_spikes(imu.gyro_rad_s)
         if is_spike.any():
-            what = "IMU samples whose angular rate is a spike"
-            missing.append(f"{is_spike.sum()} of {len(is_spike)} {what}")
+            missing.append(MissingData(Defect.RATE_IS_SPIKE, int(is_spike.sum()), len(is_spike)))
             imu = _kept(imu, ~is_spike)
         has_force = are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
         if not has_force.all():
             # An IMU without an accelerometer has no specific force at all: that is not a fault.
             if np.isfinite(imu.accel_m_s2).all(axis=1).any():
-                missing += _reasons(
+                missing += _left_out(
                     imu.accel_m_s2,
-                    not_finite="IMU samples without a finite specific force",
-                    too_large=f"IMU samples with a specific force over {LARGEST_FORCE_M_S2:g} m/s²",
                     usable=has_force,
+                    not_finite=Defect.FORCE_NOT_FINITE,
+                    too_large=Defect.FORCE_TOO_LARGE,
                 )
             imu = replace(imu, accel_m_s2=np.where(has_force[:, None], imu.accel_m_s2, np.nan))
         frame = replace(frame, imu=imu)
@@ -77,11 +77,11 @@ def validated(
     if features is not None and features.pixels.shape == (len(features.ids), 4):
         is_plausible = are_within(features.pixels, LARGEST_PIXEL_PX)
         if not is_plausible.all():
-            missing += _reasons(
+            missing += _left_out(
                 features.pixels,
-                not_finite="features whose pixels are not finite",
-                too_large=f"features with pixels beyond {LARGEST_PIXEL_PX:g}",
                 usable=is_plausible,
+                not_finite=Defect.PIXEL_NOT_FINITE,
+                too_large=Defect.PIXEL_TOO_LARGE,
             )
             features = StereoFeatures(features.ids[is_plausible], features.pixels[is_plausible])
             frame = replace(frame, features=features)
@@ -229,10 +229,10 @@ def _has_rows(imu: ImuSamples) -> bool:
     return np.shape(imu.gyro_rad_s) == shape and np.shape(imu.accel_m_s2) == shape
 
 
-def _reasons(
-    values: FloatArray, *, not_finite: str, too_large: str, usable: BoolArray
-) -> list[str]:
-    """Return in words how many of the rows, [N], are not usable, and why."""
+def _left_out(
+    values: FloatArray, usable: BoolArray, *, not_finite: Defect, too_large: Defect
+) -> list[MissingData]:
+    """Count the rows, [N], that are not usable, by what is wrong with them."""
     is_finite = np.isfinite(values).all(axis=1)
     counts = {not_finite: int((~is_finite).sum()), too_large: int((is_finite & ~usable).sum())}
-    return [f"{count} of {len(values)} {what}" for what, count in counts.items() if count]
+    return [MissingData(what, count, len(values)) for what, count in counts.items() if count]
