@@ -189,3 +189,15 @@ def test_right_images_of_other_frames_are_marked(
     assert ("! timing" in rows) == bool(late)
     if late:
         assert rows["! timing"].startswith("The right images are one frame late")
+
+
+def test_images_that_repeat_are_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a video that was stored at twice the camera's rate."""
+    recording = write_strips(tmp_path / "strips", 18)
+    assert "! repetition" not in info(recording, capsys)
+    for side in ("left", "right"):
+        for copied in range(1, 18, 2):
+            shutil.copy(
+                recording / side / f"{copied - 1:06d}.png", recording / side / f"{copied:06d}.png"
+            )
+    assert info(recording, capsys)["! repetition"].startswith("The images of 9 of 18 frames")

@@ -41,8 +41,8 @@ matching is 0.1 to 0.2 px."""
 
 STEPS_FOR_IMU = 100
 """Steps, from the start, for which it is tried whether the window could use the IMU."""
-FRAMES_FOR_TIMING = 60
-"""Frames, from the start, of which left and right images are compared with their neighbours."""
+FRAMES_COMPARED = 60
+"""Frames, from the start, whose images are compared with those of their neighbours."""
 
 IMAGE_QUESTIONS = (
     "Are left and right the same image?",
@@ -80,7 +80,7 @@ def main(words: list[str]) -> None:
     rows = describe(sequence)
     try:
         rows += examine(sequence)
-        rows += _timing_warnings(sequence)
+        rows += _order_warnings(sequence)
         rows += _imu_warnings(sequence)
     finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
@@ -274,18 +274,27 @@ def _imu_warnings(sequence: Sequence) -> Rows:
     return [*rows, ("! gyro", warning)] if warning else rows
 
 
-def _timing_warnings(sequence: Sequence) -> Rows:
-    """Warn of right images that belong to other frames than the left ones."""
-    from probevo.output.run_warnings import timing_warning
+def _order_warnings(sequence: Sequence) -> Rows:
+    """Warn of images that repeat, and of right ones that belong to other frames than the left."""
+    from probevo.estimation.frozen_images import are_repeated
+    from probevo.output.run_warnings import repetition_warning, timing_warning
     from probevo.tracking.pair_timing import PairTiming
 
     timing = PairTiming(RunConfig().tracking)
-    for frame in islice(sequence, FRAMES_FOR_TIMING):
-        timing.add(frame)
-        if timing.is_decided:
-            break
-    warning = timing_warning(timing.right_late_frames)
-    return [("! timing", warning)] if warning else []
+    num_frames = 0
+    num_repeated = 0
+    prev = None
+    for frame in islice(sequence, FRAMES_COMPARED):
+        if not timing.is_decided:
+            timing.add(frame)
+        num_frames += 1
+        num_repeated += prev is not None and are_repeated(prev, frame)
+        prev = frame
+    warnings = {
+        "! timing": timing_warning(timing.right_late_frames),
+        "! repetition": repetition_warning(num_repeated, num_frames),
+    }
+    return [(name, text) for name, text in warnings.items() if text]
 
 
 def examine(sequence: Sequence) -> Rows:

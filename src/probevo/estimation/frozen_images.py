@@ -39,7 +39,7 @@ def are_frozen(
     """
     if not model.is_moving:
         return False
-    if _is_repeated(prev_frame, frame):
+    if are_repeated(prev_frame, frame):
         return True
     cannot_rest = prediction.squared_distance(np.eye(4), np.zeros((6, 6))) > INNOVATION_GATE
     return (were_frozen or cannot_rest) and _looks_repeated(prev_frame, frame)
@@ -58,14 +58,14 @@ def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
         frame: the current frame.
         model: the motion model before the step.
     """
-    if _is_repeated(prev_frame, frame):
+    if are_repeated(prev_frame, frame):
         return True
     is_open = model.is_after_repetition or model.refusals > 0
     return is_open and _looks_repeated(prev_frame, frame)
 
 
-def _is_repeated(prev: Frame, curr: Frame) -> bool:
-    """Return whether an image of a frame equals that of the previous frame, byte by byte.
+def are_repeated(prev: Frame, curr: Frame) -> bool:
+    """Return whether an image of a frame equals that of the previous one, byte by byte.
 
     The noise of a camera makes two exposures differ, so that equal images mean a dropped frame.
     """
