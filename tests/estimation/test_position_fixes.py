@@ -22,10 +22,16 @@ SIGMA_M = 0.3
 STEPS = 40
 
 
-def receiver(rng: np.random.Generator, sigma_m: float = SIGMA_M) -> Sensor:
-    """Return a sensor that measures where the antenna is, with noise."""
+def receiver(
+    rng: np.random.Generator, sigma_m: float = SIGMA_M, outliers: dict[int, float] | None = None
+) -> Sensor:
+    """Return a sensor that measures where the antenna is, with noise; of some frames, with an error
+    so large, m."""
     north = np.array([0.02, -0.01, HEADING_RAD])
     noise = sigma_m * rng.normal(size=(STEPS + 1, 3))
+    for index, size_m in (outliers or {}).items():
+        direction = rng.normal(size=3)
+        noise[index] += size_m * direction / np.linalg.norm(direction)
 
     def fix(prev_frame: pv.Frame, frame: pv.Frame) -> list[Position]:
         T_world_cam = np.linalg.matrix_power(se3.inverse(FORWARD), frame.index)
@@ -71,6 +77,32 @@ def test_the_pose_and_the_first_camera_are_as_certain_as_claimed() -> None:
     assert np.mean(squared) < chi2_interval(6, 12)[1]
     low, high = chi2_interval(4, 12)
     assert low < np.mean(origins) < high
+
+
+@pytest.mark.parametrize("size_m", [5.0, 30.0])
+@pytest.mark.parametrize("indices", [(1,), (1, 2, 3), (20,)])
+def test_wild_fixes_lose_no_receiver(indices: tuple[int, ...], size_m: float) -> None:
+    """The first fix says where the world is. Before, all later ones then seemed wrong."""
+    rng = np.random.default_rng(7)
+    sensor = receiver(rng, outliers=dict.fromkeys(indices, size_m))
+    odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[sensor])
+    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1)]
+    assert estimates[-1].sensors[0].state == "used"
+    reasons = {outcome.reason for estimate in estimates for outcome in estimate.sensors}
+    says_so = any(reason and reason.startswith("it starts anew") for reason in reasons)
+    assert says_so == (indices[0] == 1)
+    assert odometry.state is not None
+    values = {state.variable: state.value for state in odometry.state.pose.further}
+    assert np.linalg.norm(values[ORIGIN] - START_M) < 4.0 * SIGMA_M
+
+
+def test_a_receiver_that_only_lies_is_excluded() -> None:
+    """It may start anew a few times, and no more."""
+    rng = np.random.default_rng(8)
+    sensor = receiver(rng, outliers=dict.fromkeys(range(STEPS + 1), 20.0))
+    odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[sensor])
+    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1)]
+    assert estimates[-1].sensors[0].state == "excluded"
 
 
 def test_positions_without_a_heading_are_refused() -> None:

@@ -221,6 +221,28 @@ def test_an_unknown_heading_is_found_with_its_covariance(heading_deg: float) -> 
     assert claimed < np.sqrt(NUM_FRAMES * STEP_COV[4, 4])
 
 
+@pytest.mark.parametrize("off_deg", [20.0, 90.0])
+def test_a_wild_first_heading_loses_no_compass(off_deg: float) -> None:
+    """It decides which way is north. Before, all later ones then seemed wrong."""
+    rng = np.random.default_rng(4)
+    poses = true_path(rng)
+    compass = Gps(poses, rng, 40.0)
+
+    class WildAtFirst:
+        def read(self, index: int) -> Reading:
+            reading = compass.read(index)
+            if index != 1:
+                return reading
+            (one,) = reading.measurements
+            assert isinstance(one, Heading)
+            heading = one.heading_rad + np.deg2rad(off_deg)
+            return Reading("gps", (Heading(one.pose, heading, np.deg2rad(2.0), north=NORTH),))
+
+    states, outcomes = fuse(poses, noisy_steps(poses, rng), [WildAtFirst()], NorthConfig())
+    assert "excluded" not in {outcome[0].state for outcome in outcomes}
+    assert abs(attitude_error(states[-1], poses[-1])[1]) < np.deg2rad(2.0)
+
+
 def test_of_two_sensors_the_honest_one_stays() -> None:
     rng = np.random.default_rng(8)
     poses = true_path(rng)

@@ -15,6 +15,10 @@ For each sensor, a further filter estimates the pose from all others (solution s
 receivers of satellite navigation). When the sensor is excluded, that estimate replaces the pose, so
 that no influence of its measurements of the pose remains. An excluded sensor does not come back.
 
+Where nothing else says where the world is, the first fix decides it, and the first headings which
+way is north. If that one is an outlier, all that follow contradict it. A sensor that fails a test
+among its first measurements therefore starts anew, a few times, before it is excluded.
+
 Measurements of the motion enter the solve of the step with a bounded loss. Only their innovations
 are tested, and the steps that they have entered stay as they are.
 """
@@ -66,6 +70,13 @@ CUSUM_LARGEST_TERM = 12.0
 CUSUM_ALARM = 39.0
 """Sum at which a sensor is excluded; a consistent one reaches it once in a million measurements."""
 
+STARTING_MEASUREMENTS = 20
+"""First measurements of a sensor that it may contradict and start anew. The cumulative sum reaches
+its alarm after five that are beyond the gate, and after a dozen that are nearly so."""
+MOST_RESTARTS = 2
+"""Restarts of a sensor. Where one measurement in ten is an outlier, one start in a thousand is bad
+three times in a row."""
+
 UNKNOWN_HEADING_RAD = 100.0
 """Standard deviation of an unknown heading: many turns."""
 
@@ -93,6 +104,21 @@ class SensorMemory:
     """Cumulative sum of its squared innovations above the allowance (CUSUM)."""
     excluded: str | None = None
     """Why it is excluded; None if it is not."""
+    num_steps: int = 0
+    """Steps in which it has measured something, since its start."""
+    num_restarts: int = 0
+    """How often it has started anew."""
+
+    def may_restart(self, measurements: Sequence[Measurement], north: NorthConfig) -> bool:
+        """Return whether a failed test may be the fault of the sensor's first measurements, which
+        have decided where the world is."""
+        undecided = {ORIGIN} if north.heading_deg is not None else {ORIGIN, NORTH}
+        decides = any(undecided.intersection(one.variables) for one in measurements)
+        return (
+            decides
+            and self.num_steps <= STARTING_MEASUREMENTS
+            and self.num_restarts < MOST_RESTARTS
+        )
 
 
 @dataclass(frozen=True)
@@ -187,6 +213,7 @@ class SensorFusion:
                         memory.with_offset, measured[index], others, pose=pose, north=north
                     ),
                     sum_above=_sum_above(memory.sum_above, dims, squared),
+                    num_steps=memory.num_steps + 1,
                 )
                 suspects += _suspects(memory, index, measured[index])
             elif memory.excluded is None:
@@ -204,27 +231,40 @@ class SensorFusion:
         # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
         # look faulty, too. Their tests start afresh without it.
         worst = max(suspects, key=lambda suspect: suspect.ratio)
-        after = after.excluding(worst.sensor, worst.shows)
-        outcomes[worst.sensor] = SensorOutcome(
-            name=after.memories[worst.sensor].name, state="excluded", reason=worst.shows
-        )
-        return after, tuple(outcomes)
+        memory = after.memories[worst.sensor]
+        after = after.forgetting(worst.sensor)
+        if memory.may_restart(measured[worst.sensor], north):
+            outcomes[worst.sensor] = SensorOutcome(
+                memory.name, "gated", f"it starts anew, since it has shown {worst.shows}"
+            )
+            return after, tuple(outcomes)
+        outcomes[worst.sensor] = SensorOutcome(memory.name, "excluded", worst.shows)
+        return after.excluding(worst.sensor, worst.shows), tuple(outcomes)
 
-    def excluding(self, index: int, reason: str) -> SensorFusion:
-        """Return the state as if a sensor had never measured the pose, and never will."""
-        memories = []
-        for at, memory in enumerate(self.memories):
-            if at == index:
-                memories.append(replace(memory, excluded=reason))
-            elif memory.excluded is not None:
-                memories.append(memory)
-            else:
-                memories.append(SensorMemory(memory.name, self.odometry, self.odometry))
+    def forgetting(self, index: int) -> SensorFusion:
+        """Return the state as if a sensor had not measured the pose so far.
+
+        The tests of all sensors start afresh.
+        """
+        memories = [
+            memory
+            if memory.excluded is not None
+            else replace(memory, without=self.odometry, with_offset=self.odometry, sum_above=0.0)
+            for memory in self.memories
+        ]
+        own = memories[index]
+        memories[index] = replace(own, num_steps=0, num_restarts=own.num_restarts + 1)
         return SensorFusion(
             pose=self.memories[index].without,
             odometry=self.odometry,
             memories=tuple(memories),
         )
+
+    def excluding(self, index: int, reason: str) -> SensorFusion:
+        """Return the state in which a sensor is not used any more."""
+        memories = list(self.memories)
+        memories[index] = replace(memories[index], excluded=reason)
+        return replace(self, memories=tuple(memories))
 
 
 class MotionInnovation(NamedTuple):
