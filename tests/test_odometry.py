@@ -249,6 +249,32 @@ def test_after_a_long_pause_the_window_goes_on(first: int, pause_s: int) -> None
         assert (np.diag(motion.pose_cov) >= 0.0).all()
 
 
+@pytest.mark.parametrize("pause_s", [3, 10, 100])
+def test_behind_a_long_pause_steps_claim_what_the_images_show(pause_s: int) -> None:
+    """Before, they claimed up to hundreds of metres, a share of the error of the position in the
+    world; and motions within the window up to decimetres. While the pause is within the window,
+    rounding still adds centimetres."""
+    first = 15
+    frames = [
+        replace(frame, stamp_ns=frame.stamp_ns + (frame.index >= first) * pause_s * 1_000_000_000)
+        for frame in drive(np.random.default_rng(4), 45)
+    ]
+    odometry = pv.StereoOdometry(CAMERA)
+    motions = []
+    relative = []
+    for frame in frames:
+        motions.append(odometry.step(frame))
+        if frame.index > 0:
+            relative.append(odometry.relative(frame.index, frame.index - 1)[1])
+    usual_m = max(np.sqrt(motion.cov[2, 2]) for motion in motions[1:first])
+    assert all(motion.status is OK for motion in motions[first + 1 :])
+    steps_m = np.sqrt([motion.cov[2, 2] for motion in motions[first + 1 :]])
+    relative_m = np.sqrt([cov[2, 2] for cov in relative[first:]])
+    assert max(steps_m.max(), relative_m.max()) < 0.05
+    has_left = odometry.config.window.frames
+    assert max(steps_m[has_left:].max(), relative_m[has_left:].max()) < 1.5 * usual_m
+
+
 @pytest.mark.parametrize("window_frames", [3, 10])
 @pytest.mark.parametrize("kind", ["pauses", "instants", "both"])
 def test_stamps_of_any_distance_leave_covariances(kind: str, window_frames: int) -> None:

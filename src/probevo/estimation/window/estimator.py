@@ -95,10 +95,10 @@ LEAST_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
-MOST_UNKNOWN = np.repeat([1e3, 1e2], 3)
-"""Largest standard deviation of a measured motion, m and rad: a kilometre and many turns, of which
-nothing is known. Beside features that know the motions between other frames to 0.1 mm, rounding
-would lose what is less certain."""
+MOST_UNKNOWN = np.repeat([1e3, 2.0], 3)
+"""Largest standard deviation of a measured motion, m and rad: a kilometre, and that of an angle of
+which nothing is known (π/√3). Beside features that know the motions between other frames to 0.1 mm,
+rounding would lose what is less certain."""
 LEAST_VARIANCE_PX2 = 1e-12
 """Variance of a time-correlated disparity error in a noise model that knows none."""
 
@@ -477,9 +477,9 @@ class WindowEstimator:
                 damping = max(LEAST_DAMPING, 10.0 * damping)
                 candidate = system.window
         # The covariance is that of the last equations formed, at most that small increment before.
-        cov = self._covariance(system.equations.hessian)
+        cov, cov_of_motions = self._covariances(system.equations.hessian)
         of_imu = candidate.inertial.with_covariance(system.inertial, cov)
-        return replace(candidate, cov=cov, inertial=of_imu)
+        return replace(candidate, cov=cov, cov_of_motions=cov_of_motions, inertial=of_imu)
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
@@ -637,7 +637,7 @@ class WindowEstimator:
         try:
             solved = np.linalg.solve(damped, right_hand_sides)
         except np.linalg.LinAlgError:
-            solved = pose_covariance(damped) @ right_hand_sides
+            solved = pose_covariance(damped).in_world @ right_hand_sides
         # The rig first, by the Schur complement S = H_rr − H_rp H_pp⁻¹ H_pr, tempered by 1/c: with
         # its prior information Λ, (Λ + S/c) δr = (g_r − H_rp H_pp⁻¹ g_p)/c − Λ r. Then the poses
         # for it, δp = H_pp⁻¹ (g_p − H_pr δr).
@@ -649,13 +649,28 @@ class WindowEstimator:
         decrease = gradient[poses] @ solved[:, RIG] + of_rig @ tempered
         return np.concatenate([solved[:, RIG] - gain @ of_rig, of_rig]), float(decrease)
 
-    def _covariance(self, hessian: FloatArray) -> FloatArray:
-        """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
+    def _covariances(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the joint covariance of poses and rig, and the one for motions between the poses.
+
+        Both are [6K + 4, 6K + 4]; the rig's is tempered.
+        """
+        poses = slice(None, -RIG)
+        in_world, of_motions = pose_covariance(hessian[poses, poses])
+        cov = self._with_rig(in_world, hessian)
+        # They are the same unless the position in the world is as good as unknown.
+        return cov, cov if of_motions is in_world else self._with_rig(of_motions, hessian)
+
+    def _with_rig(self, of_poses: FloatArray, hessian: FloatArray) -> FloatArray:
+        """Return the joint covariance of poses and rig, [6K + 4, 6K + 4].
+
+        Args:
+            of_poses: covariance of the poses for a rig that is known exactly, [6K, 6K].
+            hessian: of poses and rig, [6K + 4, 6K + 4].
+        """
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
         # The inverse by blocks: with the gain G = H_pp⁻¹ H_pr and the tempered covariance Σ_rr of
         # the rig, Σ_pp = H_pp⁻¹ + G Σ_rr Gᵀ and Σ_pr = −G Σ_rr.
-        of_poses = pose_covariance(hessian[poses, poses])
         gain = of_poses @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_cov = self._rig_covariance(information)

@@ -38,7 +38,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
 
     Where the position in the world is known much less than the step, as after blackouts or a long
     drive, P is relative to the oldest frame of the window, of which a new frame tells next to
-    nothing.
+    nothing; behind a long pause, to the oldest frame since then.
 
     The correction of e_{k−1} is known once it has been made. Where it is larger than its covariance
     admits, as when the window lets go of a car that it has followed, the step's covariance covers
@@ -61,14 +61,10 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     # What the step has shown of the lenses' distortion removes nothing from that pose.
     cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
-    position_variance = np.diagonal(prev_before)[:3].max()
-    step_variance = np.diagonal(relative_cov)[:3].max()
-    is_far = position_variance > LARGEST_POSITION_SHARE * step_variance
+    largest_variance = LARGEST_POSITION_SHARE * np.diagonal(relative_cov)[:3].max()
+    is_far = np.diagonal(prev_before)[:3].max() > largest_variance
     if is_far or np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
-        oldest = before.slot(int(after.frames[0]))
-        _, from_oldest_before = before.relative(len(before) - 1, oldest)
-        _, from_oldest_after = after.relative(last - 1, 0)
-        cov_reduction = from_oldest_before - from_oldest_after
+        cov_reduction = _reduction_since_known_frame(before, after, largest_variance)
     corrected = adjoint @ cov_reduction @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
     if after.is_blind[-1] and _log_volume(motion.cov) < _log_volume(cov):
@@ -89,6 +85,30 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         path_cross_cov=0.5 * (growth - cov),
     )
+
+
+def _reduction_since_known_frame(
+    before: Window, after: Window, largest_variance: float
+) -> np.ndarray:
+    """Return by how much a step has reduced the covariance of the previous pose, [6, 6], where both
+    are relative to the oldest frame from which the motion to that pose is known.
+
+    Args:
+        before: the window before the step.
+        after: the window after it.
+        largest_variance: of the translation of a motion that is known, m².
+    """
+    prev = len(after) - 2
+    for slot in range(prev):
+        _, cov_before = before.relative(len(before) - 1, before.slot(int(after.frames[slot])))
+        variances = np.diagonal(cov_before)
+        is_known = variances[:3].max() <= largest_variance
+        if is_known and variances[3:].max() <= LARGEST_ATTITUDE_SIGMA_RAD**2:
+            _, cov_after = after.relative(prev, slot)
+            return np.asarray(cov_before - cov_after)
+    # The motion to the previous frame was not known before the step, as right behind a pause: there
+    # is nothing relative to which it was.
+    return np.zeros((6, 6))
 
 
 def live_pose(window: Window) -> PoseFilter:

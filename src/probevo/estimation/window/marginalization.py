@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,9 @@ LEAST_SHARE = 1e-14
 """Least information about the position of a window, over that about the motions within it: less is
 a matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
 kilometres; among points at a distance of a metre, that of a hundred metres."""
+POSITION_IS_UNKNOWN = 1e-8
+"""Share of the information below which the position of a window is as good as unknown: it changes
+the variances of the motions within the window by no more than that."""
 LEAST_SHARE_OF_MOTIONS = 1e-12
 """The same for the least known state of a window whose oldest pose is held."""
 LEAST_POSITION_INFORMATION = 1e-6
@@ -24,7 +28,18 @@ LENGTH_M = 10.0
 the information about both is compared."""
 
 
-def pose_covariance(hessian: FloatArray) -> FloatArray:
+class PoseCovariance(NamedTuple):
+    """The joint covariance of the poses of a window."""
+
+    in_world: FloatArray
+    """Of their perturbations, [6K, 6K]."""
+    of_motions: FloatArray
+    """The same, as if the oldest pose was known where it is not: covariances of motions between
+    poses follow from it without the rounding of the large variances that they have in common,
+    [6K, 6K]."""
+
+
+def pose_covariance(hessian: FloatArray) -> PoseCovariance:
     """Invert the Hessian of the poses, [6K, 6K].
 
     The motions within the window are known far better than its position in the world, and after
@@ -48,7 +63,14 @@ def pose_covariance(hessian: FloatArray) -> FloatArray:
     # shares of the information about the oldest pose that are not due to holding it.
     share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
     moved = inverse[:, :POSE] * root @ directions
-    return np.asarray(inverse + moved / np.maximum(share, LEAST_SHARE) @ moved.T)
+    of_position = moved / np.maximum(share, LEAST_SHARE)
+    is_known = share > POSITION_IS_UNKNOWN
+    in_world = inverse + of_position @ moved.T
+    if is_known.all():
+        return PoseCovariance(in_world, in_world)
+    return PoseCovariance(
+        in_world, of_motions=inverse + of_position[:, is_known] @ moved[:, is_known].T
+    )
 
 
 def _definite_inverse(information: FloatArray) -> FloatArray:

@@ -81,6 +81,8 @@ class Window:
     observations: WindowObservations
     cov: FloatArray
     """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
+    cov_of_motions: FloatArray
+    """The same for motions between the poses (``PoseCovariance.of_motions``)."""
     distortion: DistortionEffect
     """How the distortion field of the lenses, which the window does not estimate, moves its poses
     (Schmidt's consider term). ``cov`` is without it."""
@@ -122,6 +124,7 @@ class Window:
                 loss_parameter=np.zeros(0),
             ),
             cov=cov,
+            cov_of_motions=cov,
             distortion=DistortionEffect.none(),
         )
 
@@ -195,7 +198,7 @@ class Window:
         jacobian[:, self.pose_slice(slot)] += np.eye(POSE)
         jacobian[:, self.pose_slice(other)] -= se3.adjoint(T)
         between = self.distortion.between(slot, other, se3.adjoint(T))
-        return T, jacobian @ self.cov @ jacobian.T + between
+        return T, jacobian @ self.cov_of_motions @ jacobian.T + between
 
     def pose(self, slot: int) -> SmoothedPose:
         """Return the pose in a slot of the window, with its covariance; −1 is the last."""
@@ -227,6 +230,7 @@ class Window:
             distortion=self.distortion.subset(stays),
             jitter=self.jitter[stays],
             cov=self.cov[np.ix_(kept, kept)],
+            cov_of_motions=self.cov_of_motions[np.ix_(kept, kept)],
             inertial=self.inertial.kept(stays),
             marginalized=(
                 *self.marginalized,
