@@ -429,7 +429,13 @@ class StereoOdometry:
                 readings,
                 pose,
                 self.config.north,
-                of_motion=solve_innovations(readings, pose, solution, reckoned),
+                of_motion=solve_innovations(
+                    readings,
+                    pose,
+                    solution,
+                    common_mode=solved.calibrated.common_mode.columns,
+                    reckoned=reckoned,
+                ),
             )
             clock.lap("sensors")
         # The estimate and the state. The features keep the motion of the two-frame solve.

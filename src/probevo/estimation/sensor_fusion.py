@@ -519,6 +519,7 @@ def solve_innovations(
     readings: Sequence[Reading],
     curr: Variable,
     solution: ReprojectionSolution | None,
+    common_mode: FloatArray,
     reckoned: MotionEstimate | None = None,
 ) -> dict[str, list[MotionInnovation]]:
     """Return, by sensor, the innovations of its measurements of the motion.
@@ -529,6 +530,7 @@ def solve_innovations(
         readings: of each sensor.
         curr: the pose of the current frame.
         solution: the solve, which has used the measurements of the motion; None if there is none.
+        common_mode: how errors of the rig move the motion of its images (``CommonMode.columns``).
         reckoned: the dead-reckoned motion that they are tested against without a solve; None if
             there is none either, and nothing is tested.
     """
@@ -540,7 +542,7 @@ def solve_innovations(
             continue
         if solution is not None:
             found[reading.name] = motion_innovations(
-                of_motion, solution.T_curr_prev, curr, cov=solution.cov
+                of_motion, solution.T_curr_prev, curr, cov=solution.cov, common_mode=common_mode
             )
         elif reckoned is not None:
             found[reading.name] = [_reckoned_innovation(one, curr, reckoned) for one in of_motion]
@@ -566,19 +568,22 @@ def motion_innovations(
     curr: Variable,
     *,
     cov: FloatArray,
+    common_mode: FloatArray,
 ) -> list[MotionInnovation]:
     """Return the innovations of a solve's own measurements of the motion.
 
     The residuals after a solve that used a measurement are too small for a test. The innovation is
     recovered from them: with r the residual, R the covariance of the measurement over its weight,
     and P the covariance of the motion without it, P⁻¹ = cov⁻¹ − Jᵀ R⁻¹ J, the innovation is
-    (R + J P Jᵀ) R⁻¹ r.
+    (R + J P Jᵀ) R⁻¹ r. Errors of the rig, which are no part of P, are in it, too: its covariance is
+    R + J (P + U Uᵀ) Jᵀ.
 
     Args:
         measurements: of the motion.
         T_curr_prev: the solved motion, [4, 4].
         curr: the pose that was solved for; the previous pose is the identity.
         cov: covariance of the solved motion, [6, 6].
+        common_mode: U, how errors of the rig move the motion of the images, [6, C].
     """
     if not measurements:
         return []
@@ -601,6 +606,8 @@ def motion_innovations(
         spread = jacobian @ np.linalg.solve(without, jacobian.T)
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
         # Tested with its own covariance R, not with that over the weight.
-        squared = float(innovation @ np.linalg.solve(R + spread, innovation))
+        of_rig = jacobian @ common_mode
+        innovation_cov = R + spread + of_rig @ of_rig.T
+        squared = float(innovation @ np.linalg.solve(innovation_cov, innovation))
         found[-1] = MotionInnovation(squared, weight)
     return found
