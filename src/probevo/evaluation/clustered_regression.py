@@ -1,10 +1,14 @@
 """Robust linear regression whose errors are correlated within frames, and from frame to frame.
 
-Estimates are those of a Student-t likelihood. Their covariance is the sandwich A⁻¹ B A⁻¹ (Huber
-1967), with B from the sums of the scores of each frame (Liang and Zeger 1986) and their
-autocovariances over a few frames (Newey and West 1987), so that it holds whatever the errors of a
-frame, and of its neighbours, have in common. A feature may keep its error for longer than that:
-where the sums of the scores of each feature over all frames scatter more, these give the variance.
+Estimates are those of a Student-t likelihood. Their variances are those of the sandwich A⁻¹ B A⁻¹
+(Huber 1967), with B from the sums of the scores of each frame (Liang and Zeger 1986), so that they
+hold whatever the errors of a frame have in common. Frames share errors, too, as those of a rig that
+flexes: B is the spectrum of these sums at the lowest frequencies, of which a recording has few, so
+that σ itself is uncertain. A test with Student's t allows for this (Lazarus, Lewis, Stock and
+Watson 2018).
+
+A feature may keep its error for as long as it is seen: where the sums of the scores of each feature
+over all frames scatter more, these give the variances.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import dct
 from scipy.special import stdtr
 
 from probevo.arrays import FloatArray, IntArray
@@ -19,6 +24,13 @@ from probevo.arrays import FloatArray, IntArray
 DOF = 5.0
 """Degrees of freedom of the likelihood: between those of a Gaussian and of outliers."""
 ITERATIONS = 30
+COSINES = 0.4
+"""Number of cosines that show the variance of a sum over K frames, as a multiple of K^⅔. With more
+of them, slow errors seem smaller than they are; with fewer, less is significant. This balance is
+that of Lazarus, Lewis, Stock and Watson (2018), for frames with a correlation of about 0.7."""
+FEWEST_COSINES = 4
+"""Least number of them, for recordings of a second or two. With only two, Student's t exceeds ±28
+once in 800 times, and hardly any error would be significant."""
 _MEDIAN_OF_ABSOLUTE = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
@@ -29,21 +41,16 @@ class Regression:
 
     values: FloatArray
     """[P]."""
-    cov: FloatArray
-    """Their covariance, [P, P]."""
-    num_frames: int
-    """Frames that it was estimated from."""
+    sigma: FloatArray
+    """Their standard deviations, [P]."""
+    dof: int
+    """Degrees of freedom of their estimates."""
     cost: float
     """Negative logarithm of likelihood and prior, up to a constant."""
 
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations, [P]."""
-        return np.asarray(np.sqrt(np.diag(self.cov)))
-
     def p_value(self, value: float, sigma: float) -> float:
         """Return how probable a value at least as far from zero is, if the truth is zero."""
-        return two_sided_p(value / sigma, self.num_frames - len(self.values))
+        return two_sided_p(value / sigma, self.dof)
 
 
 def two_sided_p(z: float, dof: float) -> float:
@@ -91,58 +98,67 @@ def regress(
     # A: derivative of the estimating equations; ψ' = (ν + 1)(ν − r²)/(ν + r²)² of ψ = w r.
     slope = (DOF + 1.0) * (DOF - squared) / (DOF + squared) ** 2
     bread = np.linalg.inv((design * slope[:, None]).T @ design / scale**2 + prior)
-    scores = design * (weight * residual / scale**2)[:, None]
-    # B: covariance of the sum of the scores, which are summed over each frame first, [K, P].
-    of_frames = _sums(scores, frame)
-    count = len(of_frames)
-    # As many coefficients as were estimated are missing from the scatter of the scores.
-    meat = _long_run_covariance(of_frames) * (count / max(count - len(beta), 1)) + prior
-    cov = bread @ meat @ bread.T
+    # A⁻¹ times the score of each row, [N, P]: how far it moves the estimates. Errors that cancel in
+    # one coefficient and not in another have a variance of their own in each.
+    moves = design @ bread * (weight * residual / scale**2)[:, None]
+    of_frames = _sums(moves, frame)
+    count, num_coefficients = of_frames.shape
+    dof = _num_cosines(count, num_coefficients)
+    variance = _long_run_variance(of_frames, dof) * _unbiased(count, num_coefficients)
     if track is not None:
-        cov = _at_least(cov, bread @ (_covariance_of_sums(scores, track) + prior) @ bread.T)
+        order = np.argsort(track, kind="stable")
+        of_tracks = _sums(moves[order], track[order])
+        by_track = np.sum(of_tracks**2, axis=0) * _unbiased(len(of_tracks), num_coefficients)
+        # Of two uncertain variances, either may be too small: the test stays that of the frames.
+        variance = np.maximum(variance, by_track)
+    variance += np.diag(bread @ prior @ bread)
     # −ln of N Student-t densities of this scale, and of the Gaussian prior
     cost = (
         0.5 * (DOF + 1.0) * float(np.log1p(squared / DOF).sum())
         + len(target) * float(np.log(scale))
         + 0.5 * float(beta @ prior @ beta)
     )
-    return Regression(values=beta, cov=cov, num_frames=count, cost=cost)
+    return Regression(values=beta, sigma=np.sqrt(variance), dof=dof, cost=cost)
 
 
-def _sums(scores: FloatArray, frame: IntArray) -> FloatArray:
-    """Add up the rows, [N, P], of each frame, [K, P]."""
-    # Rows of a frame are consecutive: a frame begins where the number changes.
-    starts = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
-    return np.asarray(np.add.reduceat(scores, starts, axis=0))
+def _sums(rows: FloatArray, group: IntArray) -> FloatArray:
+    """Add up the rows, [N, P], of each group, [K, P], which are consecutive."""
+    # A group begins where the number changes.
+    starts = np.flatnonzero(np.r_[True, np.diff(group) != 0])
+    return np.asarray(np.add.reduceat(rows, starts, axis=0))
 
 
-def _covariance_of_sums(scores: FloatArray, group: IntArray) -> FloatArray:
-    """Return the covariance of the sum of scores, [N, P], that are correlated within groups, [N],
-    in any order: [P, P]."""
-    order = np.argsort(group, kind="stable")
-    of_groups = _sums(scores[order], group[order])
-    count = len(of_groups)
-    return np.asarray(of_groups.T @ of_groups * (count / max(count - scores.shape[1], 1)))
+def _unbiased(count: int, num_coefficients: int) -> float:
+    """Return by how much more that many sums scatter around the truth than around the fit.
 
-
-def _at_least(cov: FloatArray, other: FloatArray) -> FloatArray:
-    """Return a covariance, [P, P], whose variances are raised to those of another one; correlations
-    stay."""
-    factor = np.sqrt(np.maximum(np.diag(other) / np.diag(cov), 1.0))
-    return np.asarray(cov * factor[:, None] * factor)
-
-
-def _long_run_covariance(of_frames: FloatArray) -> FloatArray:
-    """Add up the covariance and the autocovariances of the scores of K frames, [K, P], [P, P].
-
-    Weights and number of lags are those of Newey and West (1987, 1994), which keep it positive
-    definite.
+    As many as were estimated are missing from the latter.
     """
-    count = len(of_frames)
-    # Bartlett's weights 1 − k/(L + 1), up to L = 4 (K/100)^(2/9) lags
-    lags = int(4.0 * (count / 100.0) ** (2.0 / 9.0))
-    total: FloatArray = of_frames.T @ of_frames
-    for lag in range(1, min(lags, count - 1) + 1):
-        autocovariance = of_frames[lag:].T @ of_frames[:-lag]
-        total = total + (1.0 - lag / (lags + 1.0)) * (autocovariance + autocovariance.T)
-    return total
+    return count / max(count - num_coefficients, 1)
+
+
+def _num_cosines(count: int, num_coefficients: int) -> int:
+    """Return how many cosines show the variance of a sum over that many frames.
+
+    They are no more than what is left of the scatter of the frames by the fit.
+    """
+    wanted = round(float(COSINES * count ** (2.0 / 3.0)))
+    return max(min(max(wanted, FEWEST_COSINES), count - num_coefficients), 1)
+
+
+def _long_run_variance(of_frames: FloatArray, num_cosines: int) -> FloatArray:
+    """Estimate the variance of the sum of K values that are correlated with their neighbours.
+
+    Their cosine transforms √(2/K) Σ u_k cos(π j (k − ½)/K), j = 1 … M, are independent, and K times
+    the variance of each is that of the sum, if the correlation lasts for much less than 2K/M
+    frames. The mean of their squares has M degrees of freedom (Lazarus, Lewis, Stock and Watson,
+    "HAR inference: recommendations for practice", J. Business & Economic Statistics 36, 2018).
+
+    Args:
+        of_frames: values of P sums, whose mean is zero, [K, P].
+        num_cosines: M.
+
+    Returns:
+        The variances, [P].
+    """
+    transformed = dct(of_frames, type=2, norm="ortho", axis=0)[1 : num_cosines + 1]
+    return np.asarray(len(of_frames) * np.mean(transformed**2, axis=0))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.disparity_filter import StepCorrelation
@@ -20,6 +21,11 @@ LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
 """Least standard deviation of the truth, m and rad: no truth is more accurate."""
 FEW_STRETCHES = 20
 """With fewer stretches, the accuracy of the truth cannot be estimated reliably."""
+MEDIAN_CHI2 = 0.4549
+"""Median of χ² with one degree of freedom: of the square of a standard normal variable."""
+SIGMA_ACCURACY = 1e-4
+"""Relative accuracy of the estimated σ of the truth, whose own scatter is half a percent with ten
+thousand stretches."""
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
 hand."""
@@ -245,14 +251,35 @@ def _estimated_truth_sigma(stretches: Sequence[Stretch]) -> FloatArray:
     Args:
         stretches: at least one stretch, of solved steps only.
     """
-    # Translations and rotations apart, [U, 2, 3].
-    distances = np.abs([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
+    # Translations and rotations apart, [U, 2, 3]: one number for either, of stretches and axes.
+    squared = np.square([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
     variances = np.reshape([np.diagonal(stretch.cov) for stretch in stretches], (-1, 2, 3))
-    # 1.4826 times the median of absolute values is the σ of a Gaussian. The median is over
-    # stretches and axes: one number for translations and one for rotations, [2].
-    scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
-    own = np.median(variances, axis=(0, 2))
-    least = own if len(stretches) < FEW_STRETCHES else np.zeros(2)
-    # Variances of truth and features add up in the scatter of their difference.
-    sigma: FloatArray = np.repeat(np.sqrt(np.maximum(scatter - own, least)), 3)
-    return sigma
+    least = LEAST_TRUTH_SIGMA.reshape(2, 3).max(axis=1)
+    if len(stretches) < FEW_STRETCHES:
+        least = np.maximum(least, np.sqrt(np.median(variances, axis=(0, 2))))
+    sigma = [_sigma_beyond(variances[:, i], squared[:, i], float(least[i])) for i in range(2)]
+    return np.repeat(sigma, 3)
+
+
+def _sigma_beyond(variances: FloatArray, squared: FloatArray, least: float) -> float:
+    """Estimate the σ of what deviations have in them beyond their own uncertainty, m or rad.
+
+    Variances add up, so that d²/(V + σ²) has the median of χ²(1). Each deviation is compared with
+    its own variance: those of a stereo camera's axes differ, and the median of a mixture is not
+    that of the variances in it.
+
+    Args:
+        variances: variance V of each deviation by itself, of any shape, m² or rad².
+        squared: squared deviations d², of the same shape.
+        least: the least σ.
+    """
+
+    def excess(log_sigma: float) -> float:
+        """Return by how much the median exceeds that of χ²(1), given ln σ; it falls with σ."""
+        return float(np.median(squared / (variances + np.exp(2.0 * log_sigma)))) - MEDIAN_CHI2
+
+    if excess(np.log(least)) <= 0.0:
+        return least
+    # With this σ, no deviation is beyond the median.
+    most = np.sqrt(float(np.max(squared)) / MEDIAN_CHI2)
+    return float(np.exp(brentq(excess, np.log(least), np.log(most), xtol=SIGMA_ACCURACY)))
