@@ -146,7 +146,11 @@ def check_order(prev: Frame, curr: Frame) -> None:
             f"its stamp, {curr.stamp_ns} ns, is not after that of the frame before,"
             f" {prev.stamp_ns} ns."
         )
-        raise InputError(where, what, "Give the frames in the order of their times.")
+        cure = (
+            "Give the frames in the order of their times. If the camera's stamps have jumped, start"
+            " a new odometry from this frame."
+        )
+        raise InputError(where, what, cure)
     if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
         what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
