@@ -507,6 +507,36 @@ def estimates_of_every_third(
     return estimates
 
 
+def test_frames_that_wait_for_bursts_of_imu_samples_lose_none() -> None:
+    """As docs/api.md joins them: samples behind a frame are not used until the next."""
+    frames = drive(np.random.default_rng(0), 8)
+    gyro = gyro_stream(frames)
+    reference = pv.StereoOdometry(CAMERA, imu=GYRO)
+    odometry = pv.StereoOdometry(CAMERA, imu=GYRO)
+    expected = [reference.step(frame) for frame in with_gyro(frames, gyro)]
+    bursts = np.array_split(np.arange(len(gyro.stamps_ns)), 5)
+    num_joined = 0
+
+    def next_burst() -> ImuSamples:
+        nonlocal num_joined
+        rows = bursts[num_joined]
+        num_joined += 1
+        return ImuSamples(gyro.stamps_ns[rows], gyro.gyro_rad_s[rows], gyro.accel_m_s2[rows])
+
+    samples = next_burst()
+    for frame, of_slices in zip(frames, expected, strict=True):
+        while samples.stamps_ns[-1] < frame.stamp_ns:
+            samples = samples.followed_by(next_burst())
+        motion = odometry.step(replace(frame, imu=samples))
+        first = max(np.searchsorted(samples.stamps_ns, frame.stamp_ns, side="right") - 1, 0)
+        samples = ImuSamples(
+            samples.stamps_ns[first:], samples.gyro_rad_s[first:], samples.accel_m_s2[first:]
+        )
+        np.testing.assert_allclose(motion.T_curr_prev, of_slices.T_curr_prev, atol=1e-9)
+    assert num_joined == 5
+    np.testing.assert_allclose(odometry.gyro_bias.mean, reference.gyro_bias.mean, atol=1e-12)
+
+
 def test_dropped_frames_leave_their_gyro_to_the_next() -> None:
     """Motion, covariance and bias are, to the last bit, those of a recording that never had the
     dropped frames."""

@@ -191,16 +191,20 @@ class LiveOdometry:
             return self._last_failure
 
     def push(self, frame: Frame) -> None:
-        """Pass the next frame; never blocks for a step.
+        """Pass the next frame; does not wait for a step.
 
         Its images are not copied, so they must not be overwritten; features and IMU samples are.
         The samples cover the time since the last pushed frame, whether that was dropped or not.
+
+        An exception is raised in the thread of the camera's driver, which has to call ``close`` in
+        the end, whatever happens: until then, ``estimates`` waits for more.
 
         Raises:
             InputError: the frame is not later than the previous one, or does not match the camera.
                 It is counted (``num_refused``) and left out, but its IMU samples go to the next
                 frame.
             RuntimeError: pushed after ``close``.
+            Exception: what has ended the thread before, until ``close``.
         """
         time_s = perf_counter()
         with self._changed:
@@ -229,7 +233,10 @@ class LiveOdometry:
             self._changed.notify_all()
 
     def estimates(self) -> Iterator[LiveEstimate]:
-        """Yield each estimate as it comes, until it is closed and all are read."""
+        """Yield each estimate as it comes, until it is closed and all are read.
+
+        Without ``close``, it waits for ever after the last frame.
+        """
         if self._on_estimate is not None:
             raise RuntimeError("the estimates go to on_estimate")
         while True:

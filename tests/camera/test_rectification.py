@@ -185,12 +185,20 @@ def turned(angle_rad: float) -> FloatArray:
     return se3.from_parts(so3.exp(np.array([0.0, angle_rad, 0.0])), np.array([-0.1, 0.0, 0.0]))
 
 
+def rolled(angle_deg: float) -> FloatArray:
+    """Return T_right_left of a right camera beside the left one, turned about its optical axis."""
+    C_right_left = so3.exp(np.array([0.0, 0.0, np.deg2rad(angle_deg)]))
+    return se3.from_parts(C_right_left, C_right_left @ np.array([-0.1, 0.0, 0.0]))
+
+
 @pytest.mark.parametrize(
     ("right", "T_right_left", "message"),
     [
         (RADTAN[1], shifted([0.0, 0.0, 0.0]), "the same file"),
         (RADTAN[1], shifted([0.1, 0.0, 0.0]), "swapped"),
         (RADTAN[1], shifted([0.0, -0.1, 0.0]), "above or below"),
+        (RADTAN[1], rolled(180.0), r"by 180° about its optical axis .*\n *Turn its images by 180°"),
+        (RADTAN[1], rolled(-178.0), r"by 178° about its optical axis .*\n *Turn its images by 180"),
         (RADTAN[1], shifted([np.nan, 0.0, 0.0]), "not finite"),
         (RADTAN[1], shifted([-0.1, 0.0, 0.0]) * [2.0, 2.0, 2.0, 1.0], "no.* rotation matrix"),
         (RADTAN[1], turned(0.9), "outside the image of"),
@@ -214,6 +222,14 @@ def test_an_impossible_pair_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=rf"sensor\.yaml: (.|\n)*{message}"):
         Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
+
+
+def test_a_camera_that_is_upside_down_is_rectified_once_its_image_is_turned() -> None:
+    """As the message says: turned by half a turn, the right camera is one beside the left."""
+    left, right = RADTAN
+    half_turn = se3.from_parts(so3.exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
+    camera = Rectification.from_calibration(left, right, half_turn @ rolled(180.0)).camera
+    assert camera.baseline_m == pytest.approx(0.1)
 
 
 def test_known_projections_of_two_sizes_are_refused() -> None:

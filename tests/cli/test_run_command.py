@@ -312,6 +312,19 @@ def test_swapped_images_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_an_image_on_both_sides_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_wall(tmp_path / "wall", 8)
+    shutil.rmtree(recording / "right")
+    shutil.copytree(recording / "left", recording / "right")
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "left and right images are identical in the first 4 frames." in said
+    assert "swapped" not in said
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("late", [0, 1])
 def test_right_images_of_other_frames_are_warned_of(
     late: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -17,6 +17,7 @@ from probevo.measurements.direction import Direction
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.position import Position
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import read_sensor
@@ -50,7 +51,60 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "rotation with the covariance of a pose": (
         lambda: RelativeRotation(np.eye(3), np.eye(6), POSE),
-        r"RelativeRotation: its covariance has shape \(6, 6\)",
+        r"RelativeRotation: covariance: it has shape \(6, 6\)",
+    ),
+    "rotation as a vector": (
+        lambda: RelativeRotation(np.zeros(3), np.eye(3), POSE),
+        r"RelativeRotation: C_curr_prev: it has shape \(3,\)",
+    ),
+    "rotation as a transform": (
+        lambda: RelativeRotation(np.eye(4), np.eye(3), POSE),
+        r"RelativeRotation: C_curr_prev: it has shape \(4, 4\)",
+    ),
+    "rotation of words": (
+        lambda: RelativeRotation([["a"] * 3] * 3, np.eye(3), POSE),
+        r"RelativeRotation: C_curr_prev: it is \[\['a', 'a', 'a'\]",
+    ),
+    "rotation of zeros": (
+        lambda: RelativeRotation(np.zeros((3, 3)), np.eye(3), POSE),
+        "RelativeRotation: C_curr_prev: this is not a rotation matrix",
+    ),
+    "rotation that scales": (
+        lambda: RelativeRotation(2.0 * np.eye(3), np.eye(3), POSE),
+        "RelativeRotation: C_curr_prev: this is not a rotation matrix",
+    ),
+    "rotation that mirrors": (
+        lambda: RelativeRotation(-np.eye(3), np.eye(3), POSE),
+        "RelativeRotation: C_curr_prev: this is not a rotation matrix",
+    ),
+    "rotation with one variance": (
+        lambda: RelativeRotation(np.eye(3), 1e-4, POSE),
+        r"RelativeRotation: covariance: it has shape \(\)",
+    ),
+    "pose that scales": (
+        lambda: PosePrior(POSE, np.diag([2.0, 2.0, 2.0, 1.0]), np.eye(6)),
+        "PosePrior: T_cam_world: this is not a rotation matrix",
+    ),
+    "motion with its translation below": (
+        lambda: RelativePose(np.eye(4) + np.eye(4, k=-3), np.eye(6), POSE),
+        "RelativePose: T_curr_prev: the last row",
+    ),
+    "direction of two numbers": (
+        lambda: Direction(POSE, [0.0, 1.0], [0.0, 1.0, 0.0], np.eye(2)),
+        r"Direction: in_camera: it has shape \(2,\)",
+    ),
+    "antenna at an unknown place": (
+        lambda: Position(POSE, np.zeros(3), np.eye(3), lever_m=np.full(3, np.nan)),
+        "Position: lever_m: it is not finite",
+    ),
+    "heading without a value": (lambda: Heading(POSE, None, 0.2), "heading_rad: is None"),
+    "distance as a list": (
+        lambda: TravelledDistance([1.0], 0.1, POSE),
+        r"TravelledDistance: distance_m: is \[1\.0\]",
+    ),
+    "distance with a list of σ": (
+        lambda: TravelledDistance(1.0, [0.1], POSE),
+        r"TravelledDistance: sigma_m: is \[0\.1\]",
     ),
     "motion without its last row": (
         lambda: RelativePose(np.eye(4)[:3], np.eye(6), POSE),
@@ -64,6 +118,29 @@ def test_a_mistake_is_named(name: str) -> None:
     make, said = MISTAKES[name]
     with pytest.raises(InputError, match=said):
         make()
+
+
+def test_lists_are_arrays() -> None:
+    rotation = RelativeRotation(np.eye(3).tolist(), (0.01 * np.eye(3)).tolist(), POSE)
+    np.testing.assert_array_equal(rotation.residual({POSE: np.eye(4)}), np.zeros(3))
+    distance = TravelledDistance(np.float32(1.0), np.array(0.1), POSE, axis=[0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(distance.residual({POSE: np.eye(4)}), [1.0])
+
+
+WITHOUT_A_FIX: list[VectorMeasurement] = [
+    RelativeRotation(np.full((3, 3), np.nan), np.eye(3), POSE, pose_of(0)),
+    RelativePose(np.full((4, 4), np.nan), np.eye(6), POSE, pose_of(0)),
+    PosePrior(POSE, np.full((4, 4), np.nan), np.eye(6)),
+    Position(POSE, np.full(3, np.nan), np.eye(3)),
+    TravelledDistance(math.nan, 0.1, POSE, pose_of(0)),
+]
+
+
+@pytest.mark.parametrize("measurement", WITHOUT_A_FIX)
+def test_what_has_no_fix_is_no_measurement(measurement: VectorMeasurement) -> None:
+    """NaN is not refused where a value can be missing."""
+    found = read_sensor("any", lambda prev, curr: [measurement], PREV, CURR)
+    assert found.reason == "not a finite value"
 
 
 class OfABias(VectorMeasurement):

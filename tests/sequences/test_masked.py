@@ -190,6 +190,34 @@ def test_a_mask_of_another_size_among_many_is_named(recording: Path) -> None:
         next(frames)
 
 
+def test_a_mask_of_zeros_and_ones_among_many_is_named(recording: Path) -> None:
+    """As label images are; it would leave no feature, in silence. All black it may be."""
+    for k in range(FRAMES):
+        mask = half() // 255 if k == 2 else np.zeros(SHAPE, np.uint8)
+        write_image(recording / "mask_left" / f"{k:06d}.png", mask)
+    frames = iter(open_sequence(recording))
+    assert next(frames).index == 0
+    with pytest.raises(InputError, match=r"000002\.png: this mask is nowhere brighter than 1,"):
+        list(frames)
+
+
+@pytest.mark.parametrize("grey", [1, 127])
+def test_a_mask_of_zeros_and_ones_is_refused(grey: int, recording: Path) -> None:
+    """Below 128, no feature is wanted: it would leave none, in silence."""
+    sequence = open_sequence(recording)
+    frame = replace(next(iter(sequence)), right_mask=np.minimum(half(), grey))
+    words = rf"its right mask is nowhere brighter than {grey}, .*\n *Give bool, or 0 and 255"
+    with pytest.raises(InputError, match=words):
+        check_frame(frame, sequence.camera)
+
+
+@pytest.mark.parametrize("mask", [half() * 0, np.minimum(half(), 128), half() > 255, half() > 0])
+def test_a_mask_of_a_frame_may_be_black_all_over(mask: AnyArray, recording: Path) -> None:
+    """What moves through the image may cover it."""
+    sequence = open_sequence(recording)
+    check_frame(replace(next(iter(sequence)), left_mask=mask), sequence.camera)
+
+
 def test_a_recording_of_features_has_no_masks(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no images"):
         open_sequence(write_tracks(tmp_path), mask_left=half())

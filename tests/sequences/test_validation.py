@@ -141,6 +141,20 @@ def test_a_frame_of_a_wrong_kind_is_refused_and_the_next_is_not(case: str) -> No
     odometry.step(frame())
 
 
+def test_a_camera_whose_stamps_have_jumped_goes_on_with_a_new_odometry() -> None:
+    """One stamp that is an hour ahead ends the first one: no later frame can follow it."""
+    frames = drive(np.random.default_rng(0), 6)
+    frames[3] = replace(frames[3], stamp_ns=frames[3].stamp_ns + 3600 * 10**9)
+    odometry = pv.StereoOdometry(CAMERA)
+    assert [odometry.step(each).status for each in frames[:4]][-1] is pv.Status.GAP
+    for each in frames[4:]:
+        with pytest.raises(InputError, match=r"not after .*\n.*start a new odometry from this"):
+            odometry.step(each)
+    after = pv.StereoOdometry(CAMERA)
+    assert after.step(frames[4]).status is pv.Status.FIRST
+    assert after.step(frames[5]).status is pv.Status.OK
+
+
 @pytest.mark.parametrize("given", [None, np.zeros((375, 1242), np.uint8), (1, 2)])
 def test_what_is_no_frame_is_refused(given: Any) -> None:
     """As of a reader who hands in the left image."""

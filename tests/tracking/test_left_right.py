@@ -10,6 +10,8 @@ from probevo import StereoOdometry, estimate_motion
 from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import (
     FEWEST_MATCHES,
+    IdenticalImagesError,
+    LeftRightCheck,
     SwappedImagesError,
     check_left_right,
     count_matches,
@@ -68,6 +70,41 @@ def test_a_swapped_recording_is_refused_with_the_cure(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").touch()  # a folder of ROS 2
     with pytest.raises(SwappedImagesError, match="Exchange --topics"):
         check_left_right(3, 97, tmp_path)
+
+
+def matches(num_positive: int, num_negative: int) -> Tracks:
+    """Return the matches of a step, of those disparities."""
+    disparity_px = np.repeat([2.0, -2.0], [num_positive, num_negative])
+    count = len(disparity_px)
+    pixels = np.column_stack([disparity_px, np.zeros((count, 3))])
+    return Tracks(prev_px=pixels, curr_px=pixels, ids=np.arange(count), age=np.full(count, 2))
+
+
+def see(left_right: LeftRightCheck, tracks: Tracks, *, num_differing: int) -> None:
+    """See four frames, of which the last ones have a right image of their own."""
+    image = np.random.default_rng(0).integers(0, 256, (30, 40), np.uint8)
+    for k in range(4):
+        right = 255 - image if k >= 4 - num_differing else image.copy()
+        left_right.see(Frame(k, k, image, right), tracks)
+
+
+@pytest.mark.parametrize("num_negative", [5, 40])
+def test_images_that_are_the_same_are_not_called_swapped(num_negative: int) -> None:
+    """Whatever the signs of their disparities, which are noise: to exchange them cures nothing."""
+    tracks = matches(5, num_negative)
+    with pytest.raises(IdenticalImagesError, match=r"^wall: left and .* first 4 frames\.\n.*twice"):
+        see(LeftRightCheck("wall", 9), tracks, num_differing=0)
+
+
+def test_images_that_come_to_differ_are_not_the_same() -> None:
+    see(LeftRightCheck("wall", 9), matches(40, 5), num_differing=1)
+    with pytest.raises(SwappedImagesError):
+        see(LeftRightCheck("wall", 9), matches(5, 40), num_differing=1)
+
+
+def test_of_images_without_matches_nothing_is_said() -> None:
+    """As of two covered lenses, at the start."""
+    see(LeftRightCheck("wall", 9), matches(0, 0), num_differing=0)
 
 
 SWAPPED = [2, 3, 0, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from probevo.errors import InputError
 from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
+UPSIDE_DOWN_DEG = 135.0
+"""Roll between the cameras from which on half a turn of an image leaves less of it than a quarter
+does."""
 _PixelMaps = tuple[AnyArray, AnyArray]
 """For each rectified pixel its place in the raw image, in OpenCV's fixed-point form."""
 
@@ -107,10 +110,7 @@ class Rectification:
         # Its fourth column is therefore (−f_u b, 0, 0), from which the baseline follows, with its
         # sign: it is negative if left and right are exchanged.
         if abs(P_right[1, 3]) > abs(P_right[0, 3]):
-            what = "the right camera lies above or below the left one."
-            raise InputError(
-                where, what, "Only cameras side by side are supported; turn both images by 90°."
-            )
+            _refuse_vertical(T_right_left, where)
         camera = StereoCamera(
             fu_px=float(P_left[0, 0]),
             fv_px=float(P_left[1, 1]),
@@ -245,6 +245,25 @@ def _check_same(name: str, left: PinholeCamera, right: PinholeCamera, where: str
             f"{name} is {getattr(left, name)} on the left and {getattr(right, name)} on the right."
         )
         raise InputError(where, what, "Both cameras must be of the same kind.")
+
+
+def _refuse_vertical(T_right_left: FloatArray, where: str | Path) -> NoReturn:
+    """Refuse cameras that, rotated halfway towards each other, lie one above the other.
+
+    Raises:
+        InputError: always; says whether the right camera is upside down.
+    """
+    roll_deg = np.rad2deg(np.arctan2(T_right_left[1, 0], T_right_left[0, 0]))
+    if abs(roll_deg) > UPSIDE_DOWN_DEG:
+        what = (
+            f"the right camera is turned by {abs(roll_deg):.0f}° about its optical axis against the"
+            " left one."
+        )
+        raise InputError(where, what, "Turn its images by 180°, and calibrate with these.")
+    what = "the right camera lies above or below the left one."
+    raise InputError(
+        where, what, "Only cameras side by side are supported; turn both images by 90°."
+    )
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:

@@ -244,7 +244,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         motions.append(motion.T_curr_prev)
         solved.append(motion.status is Status.OK)
         tracks = odometry.tracks
-        left_right.see(tracks)
+        left_right.see(frame, tracks)
         is_used = odometry.used
         heights.add(
             frame.stamp_ns,

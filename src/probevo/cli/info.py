@@ -305,15 +305,16 @@ def examine(sequence: Sequence) -> Rows:
     import numpy as np
 
     from probevo.tracking import TrackingState, Tracks, tracker_for
-    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, how_to_swap, looks_swapped
+    from probevo.tracking.left_right import (
+        FRAMES_TO_SEE,
+        are_identical,
+        count_matches,
+        how_to_swap,
+        looks_swapped,
+    )
 
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))
-    pairs = [
-        (frame.left, frame.right)
-        for frame in frames
-        if frame.left is not None and frame.right is not None
-    ]
-    if pairs and all(np.array_equal(left, right) for left, right in pairs):
+    if frames and all(are_identical(frame) for frame in frames):
         text = (
             f"left and right are identical in the first {len(frames)} frames: no depth, no motion"
         )

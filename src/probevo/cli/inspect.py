@@ -230,7 +230,7 @@ def _view_of_frame(
     with progress_bar(f"{name} up to frame {index}", getting_ready()) as show:
         for frame in islice(sequence, index + 1):
             odometry.step(frame)
-            left_right.see(odometry.tracks)
+            left_right.see(frame, odometry.tracks)
             seen_px = odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0)
             farthest_px = np.maximum(farthest_px, seen_px)
             left = frame.left

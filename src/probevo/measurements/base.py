@@ -12,13 +12,14 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self, SupportsFloat
 
 import numpy as np
 from scipy.special import chdtri
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
+from probevo.geometry import so3
 from probevo.geometry.se3_numba import perturb
 
 ASYMMETRY = 1e-8
@@ -159,10 +160,9 @@ class VectorMeasurement(ABC):
         dof: float = np.inf,
         gate: float = np.inf,
     ) -> None:
+        if dim is not None:
+            covariance = as_array(covariance, (dim, dim), f"{type(self).__name__}: covariance")
         covariance = np.asarray(covariance, dtype=np.float64)
-        if dim is not None and covariance.shape != (dim, dim):
-            what = f"its covariance has shape {covariance.shape}."
-            raise InputError(type(self).__name__, what, f"It is [{dim}, {dim}].")
         square = covariance.ndim == 2 and covariance.shape[0] == covariance.shape[1]
         if not square or not np.isfinite(covariance).all():
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
@@ -334,16 +334,69 @@ def bounded_weight(squared: float, threshold: float) -> float:
     return (threshold / squared) ** 2
 
 
-def as_transform(T: FloatArray, where: str) -> FloatArray:
+def as_transform(T: object, where: str) -> FloatArray:
     """Return a transform as an array of floats, [4, 4]; NaN is what a sensor without a fix gives.
 
     Raises:
-        InputError: it has another shape.
+        InputError: it is of another kind or shape, or no rigid transform up to rounding.
     """
-    matrix = np.asarray(T, dtype=np.float64)
-    if matrix.shape != (4, 4):
-        raise InputError(where, f"it has shape {matrix.shape}.", "Give a transform, [4, 4].")
+    matrix = as_array(T, (4, 4), where)
+    if np.isfinite(matrix).all():
+        so3.check_rotation(matrix[:3, :3], where)
+        if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > so3.ROTATION_TOLERANCE:
+            raise InputError(where, "the last row of this transform is not 0 0 0 1.")
     return matrix
+
+
+def as_rotation(C: object, where: str) -> FloatArray:
+    """Return a rotation as an array of floats, [3, 3]; NaN is what a sensor without a fix gives.
+
+    Raises:
+        InputError: it is of another kind or shape, or no rotation up to rounding.
+    """
+    matrix = as_array(C, (3, 3), where)
+    if np.isfinite(matrix).all():
+        so3.check_rotation(matrix, where)
+    return matrix
+
+
+def as_array(values: object, shape: tuple[int, ...], where: str) -> FloatArray:
+    """Return what a measurement is made of as an array of floats.
+
+    Raises:
+        InputError: it holds something else than numbers, or has another shape.
+    """
+    needed = f"Give numbers, [{', '.join(map(str, shape))}]."
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(where, f"it is {brief(values)}.", needed) from None
+    if array.shape != shape:
+        raise InputError(where, f"it has shape {array.shape}.", needed)
+    return array
+
+
+def as_number(value: object, where: str) -> float:
+    """Return a number as a float; NaN is what a sensor without a fix gives.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(value, SupportsFloat) or getattr(value, "shape", ()) != ():
+        raise InputError(where, f"is {brief(value)}.", "Give a number.")
+    return float(value)
+
+
+def as_sigma(value: object, where: str) -> float:
+    """Return a standard deviation as a float.
+
+    Raises:
+        InputError: it is no number, or not positive.
+    """
+    sigma = as_number(value, where)
+    if not sigma > 0.0:
+        raise InputError(where, f"is {sigma}.", "It must be positive.")
+    return sigma
 
 
 def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.base import Values, Variable, VectorMeasurement, as_array
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
 LARGEST_ANGLE_RAD = 3.0
@@ -177,8 +177,8 @@ def _unit(direction: FloatArray, name: str) -> FloatArray:
     Raises:
         InputError: it has no direction.
     """
-    vector = np.asarray(direction, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+    vector = as_array(direction, (3,), f"Direction: {name}")
+    if not np.isfinite(vector).all() or not vector.any():
         raise InputError(f"Direction: {name}", "it is not a finite vector [3] other than zero.")
     unit: FloatArray = vector / np.linalg.norm(vector)
     return unit

@@ -7,9 +7,14 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.base import (
+    Values,
+    Variable,
+    VectorMeasurement,
+    as_number,
+    as_sigma,
+)
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
 
@@ -25,7 +30,7 @@ class Heading(VectorMeasurement):
             estimated, too.
 
     Raises:
-        InputError: the standard deviation is not positive.
+        InputError: either is no number, or the standard deviation not positive.
     """
 
     def __init__(
@@ -36,11 +41,10 @@ class Heading(VectorMeasurement):
         *,
         north: Variable | None = None,
     ) -> None:
-        if not sigma_rad > 0.0:
-            raise InputError("Heading: sigma_rad", f"is {sigma_rad}.", "It must be positive.")
+        sigma_rad = as_sigma(sigma_rad, "Heading: sigma_rad")
         super().__init__(np.array([[sigma_rad**2]]))
         self.pose = pose
-        self.heading_rad = float(heading_rad)
+        self.heading_rad = as_number(heading_rad, "Heading: heading_rad")
         self.north = north
 
     @property

@@ -16,7 +16,8 @@ class PosePrior(VectorMeasurement):
         covariance: of the left perturbation ξ, [6, 6], m and rad.
 
     Raises:
-        InputError: the covariance is not [6, 6] and positive definite, or the mean not [4, 4].
+        InputError: the covariance is not [6, 6] and positive definite, or the mean no rigid
+            transform.
     """
 
     def __init__(self, pose: Variable, T_cam_world: FloatArray, covariance: FloatArray) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.base import Values, Variable, VectorMeasurement, as_array
 from probevo.measurements.north import NORTH, ORIGIN, attitude_of_enu, jacobian_of_enu
 
 VAGUENESS = 1e3
@@ -29,8 +29,8 @@ class Position(VectorMeasurement):
         lever_m: the antenna in the camera's frame, [3], m.
 
     Raises:
-        InputError: a position or a lever is not a vector [3], or the covariance not positive
-            definite.
+        InputError: a position or a lever is not a vector [3], the lever not finite, or the
+            covariance not positive definite.
     """
 
     def __init__(
@@ -43,8 +43,12 @@ class Position(VectorMeasurement):
     ) -> None:
         super().__init__(covariance, dim=3)
         self.pose = pose
-        self.position_m = _vector(position_m, "position_m")
-        self.lever_m = np.zeros(3) if lever_m is None else _vector(lever_m, "lever_m")
+        self.position_m = as_array(position_m, (3,), "Position: position_m")
+        lever_m = np.zeros(3) if lever_m is None else lever_m
+        self.lever_m = as_array(lever_m, (3,), "Position: lever_m")
+        if not np.isfinite(self.lever_m).all():
+            cure = "Measure where the antenna is in the camera's frame."
+            raise InputError("Position: lever_m", "it is not finite.", cure)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -77,15 +81,3 @@ class Position(VectorMeasurement):
         in_world = se3.transform(se3.inverse(values[self.pose]), self.lever_m[None])[0]
         from_origin: FloatArray = attitude_of_enu(values[NORTH]).T @ in_world
         return from_origin
-
-
-def _vector(values: FloatArray, name: str) -> FloatArray:
-    """Return a vector [3] as an array; NaN stands for a receiver without a fix.
-
-    Raises:
-        InputError: it has another shape.
-    """
-    vector = np.asarray(values, dtype=np.float64)
-    if vector.shape != (3,):
-        raise InputError(f"Position: {name}", f"its shape is {vector.shape}, where [3] is needed.")
-    return vector

@@ -18,7 +18,8 @@ class RelativePose(RelativeMeasurement):
         prev: pose of the previous frame; None if the world of the poses is the previous camera.
 
     Raises:
-        InputError: the covariance is not [6, 6] and positive definite, or the motion not [4, 4].
+        InputError: the covariance is not [6, 6] and positive definite, or the motion no rigid
+            transform.
     """
 
     def __init__(

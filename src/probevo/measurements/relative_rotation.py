@@ -6,7 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable
+from probevo.measurements.base import Values, Variable, as_array, as_rotation
 from probevo.measurements.relative import RelativeMeasurement
 
 LEAST_SIGMA_RAD = 1e-6
@@ -24,7 +24,7 @@ class RelativeRotation(RelativeMeasurement):
         prev: pose of the previous frame; None if the world of the poses is the previous camera.
 
     Raises:
-        InputError: the covariance is not [3, 3] and positive definite.
+        InputError: the covariance is not [3, 3] and positive definite, or C_curr_prev no rotation.
     """
 
     def __init__(
@@ -34,9 +34,10 @@ class RelativeRotation(RelativeMeasurement):
         curr: Variable,
         prev: Variable | None = None,
     ) -> None:
-        enlarged = covariance + LEAST_SIGMA_RAD**2 * np.eye(len(covariance))
+        least = LEAST_SIGMA_RAD**2 * np.eye(3)
+        enlarged = as_array(covariance, (3, 3), "RelativeRotation: covariance") + least
         super().__init__(enlarged, curr, prev, dim=3)
-        self.C_curr_prev = C_curr_prev
+        self.C_curr_prev = as_rotation(C_curr_prev, "RelativeRotation: C_curr_prev")
 
     def residual(self, values: Values) -> FloatArray:
         """Return −φ, [3], rad."""

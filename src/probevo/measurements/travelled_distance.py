@@ -7,7 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable
+from probevo.measurements.base import Values, Variable, as_array, as_number, as_sigma
 from probevo.measurements.relative import RelativeMeasurement
 
 AHEAD = np.array([0.0, 0.0, 1.0])
@@ -28,7 +28,8 @@ class TravelledDistance(RelativeMeasurement):
         axis: unit vector in the previous camera's frame, [3].
 
     Raises:
-        InputError: the standard deviation is not positive, or the axis no unit vector.
+        InputError: the distance is no number, the standard deviation not positive, or the axis no
+            unit vector.
     """
 
     def __init__(
@@ -40,13 +41,11 @@ class TravelledDistance(RelativeMeasurement):
         *,
         axis: FloatArray = AHEAD,
     ) -> None:
-        if not sigma_m > 0.0:
-            where = "TravelledDistance: sigma_m"
-            raise InputError(where, f"is {sigma_m}.", "It must be positive.")
+        sigma_m = as_sigma(sigma_m, "TravelledDistance: sigma_m")
         super().__init__(np.array([[sigma_m**2]]), curr, prev)
-        self.distance_m = distance_m
-        self.axis = np.asarray(axis, np.float64)
-        if self.axis.shape != (3,) or not abs(float(np.linalg.norm(self.axis)) - 1.0) < 1e-6:
+        self.distance_m = as_number(distance_m, "TravelledDistance: distance_m")
+        self.axis = as_array(axis, (3,), "TravelledDistance: axis")
+        if not abs(float(np.linalg.norm(self.axis)) - 1.0) < 1e-6:
             raise InputError("TravelledDistance: axis", "it is not a unit vector [3].")
 
     def residual(self, values: Values) -> FloatArray:

@@ -114,7 +114,7 @@ def compare_halves(
     for done, frame in enumerate(islice(sequence, total)):
         first, second = halves_of(frame)
         of_one = one.step(first)
-        left_right.see(one.tracks)
+        left_right.see(frame, one.tracks)
         of_other = other.step(second)
         if on_progress is not None:
             on_progress(done + 1, total)

@@ -52,7 +52,7 @@ from probevo.sequences.base import first_frames
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
-from probevo.tracking.left_right import LeftRightCheck, SwappedImagesError
+from probevo.tracking.left_right import IdenticalImagesError, LeftRightCheck, SwappedImagesError
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
 
@@ -180,10 +180,10 @@ def _run(
             if viewer is not None:
                 viewer.add(frame, odometry)
 
-            left_right.see(odometry.tracks)
+            left_right.see(frame, odometry.tracks)
             if on_step is not None:
                 on_step(motion)
-    except SwappedImagesError:
+    except (SwappedImagesError, IdenticalImagesError):
         raise
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not

@@ -57,6 +57,8 @@ class Frame:
     index: int
     """Position in the sequence, from 0. It may skip numbers, but not repeat any."""
     stamp_ns: int
+    """Time of the images. It increases from frame to frame: after one stamp that is far ahead, all
+    later frames are refused until a new odometry is started."""
     left: Image | None = None
     """Rectified left image, [height, width], uint8. The odometry keeps it, until a later frame is
     solved: do not write to it again."""

@@ -7,7 +7,7 @@ import numpy as np
 from probevo.arrays import Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError, brief
-from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, size_text
+from probevo.sequences.frame import WHITE, Frame, ImuSamples, StereoFeatures, size_text
 from probevo.sequences.text import INT64_LIMIT
 
 SHORTEST_STEP_NS = 1_000
@@ -20,9 +20,9 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     Raises:
         InputError: index or stamp is no whole number of 64 bits; an image is missing, is not grey
             with 8 bits, or has another size than the camera or the other image; a mask is of
-            another kind or size than its image; an identity appears twice, or the counts of
-            identities and pixels differ; IMU samples are out of order, or an angular rate is
-            missing or not finite; the index is negative.
+            another kind or size than its image, or has grey levels below ``WHITE`` only; an
+            identity appears twice, or the counts of identities and pixels differ; IMU samples are
+            out of order, or an angular rate is missing or not finite; the index is negative.
     """
     where = f"frame {frame.index}"
     if not isinstance(frame.index, int | np.integer):
@@ -78,7 +78,8 @@ def _check_images(frame: Frame, camera: StereoCamera, where: str) -> None:
 
 
 def _check_mask(name: str, mask: object, image: Image | None, where: str) -> None:
-    """Refuse a mask of another kind than bool or uint8, or of another size than its image.
+    """Refuse a mask of another kind than bool or uint8, of another size than its image, or of 0 and
+    1 instead of black and white.
 
     Raises:
         InputError: says which.
@@ -95,6 +96,18 @@ def _check_mask(name: str, mask: object, image: Image | None, where: str) -> Non
     if mask.shape != image.shape:
         what = f"its {name} mask has shape {mask.shape}, the image {image.shape}."
         raise InputError(where, what, "Give a mask of the size of the image.")
+    if mask.dtype == np.uint8 and is_too_dark(mask):
+        what = f"its {name} mask is nowhere brighter than {mask.max()}, and leaves no feature."
+        cure = f"Give bool, or 0 and 255: features may be where it is {WHITE} or more."
+        raise InputError(where, what, cure)
+
+
+def is_too_dark(mask: Image) -> bool:
+    """Return whether a mask has grey levels, but none from ``WHITE`` on, such as one of 0 and 1.
+
+    All black is no mistake: what moves through the image may cover it.
+    """
+    return 0 < int(mask.max(initial=0)) < WHITE
 
 
 def _check_features(features: StereoFeatures, where: str) -> None:
@@ -146,7 +159,11 @@ def check_order(prev: Frame, curr: Frame) -> None:
             f"its stamp, {curr.stamp_ns} ns, is not after that of the frame before,"
             f" {prev.stamp_ns} ns."
         )
-        raise InputError(where, what, "Give the frames in the order of their times.")
+        cure = (
+            "Give the frames in the order of their times. If the camera's stamps have jumped, start"
+            " a new odometry from this frame."
+        )
+        raise InputError(where, what, cure)
     if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
         what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")

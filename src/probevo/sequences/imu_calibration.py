@@ -54,8 +54,9 @@ class ImuCalibration:
     """Density of the random walk of the accelerometer bias, m/s³/√Hz."""
     time_offset_s: float = 0.0
     """Time of an event on the clock of the IMU minus its time on the clock of the images:
-    t_imu = t_cam + time_offset_s, as Kalibr's ``timeshift_cam_imu``. The readers have already
-    applied it: the stamps of ``ImuSamples`` are on the clock of the images."""
+    t_imu = t_cam + time_offset_s, as Kalibr's ``timeshift_cam_imu``. The odometry does not apply
+    it: the readers have, and the stamps of ``ImuSamples`` are on the clock of the images. For
+    samples from elsewhere, ``on_image_clock`` does."""
 
     def __post_init__(self) -> None:
         """Refuse values that no IMU has.

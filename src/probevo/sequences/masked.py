@@ -14,6 +14,7 @@ from probevo.camera.rectification import Rectification
 from probevo.errors import InputError, brief
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import WHITE, Frame
+from probevo.sequences.frame_checks import is_too_dark
 from probevo.sequences.images import list_images, read_gray
 from probevo.sequences.recording import ImageRecording, StereoRecording
 
@@ -57,8 +58,18 @@ class MaskOfEachFrame:
     is_fixed: bool = False
 
     def of_frame(self, index: int) -> Image:
-        """Read the mask of a frame."""
-        return _black_and_white(read_gray(self.files[index], self.size_px))
+        """Read the mask of a frame.
+
+        Raises:
+            InputError: also if it is of 0 and 1 instead of black and white.
+        """
+        mask = read_gray(self.files[index], self.size_px)
+        if is_too_dark(mask):
+            what = f"this mask is nowhere brighter than {mask.max()}, and leaves no feature."
+            raise InputError(
+                self.files[index], what, f"Features may be where it is {WHITE} or more."
+            )
+        return _black_and_white(mask)
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,17 @@
-"""Detection of swapped left and right images.
+"""Detection of left and right images that are swapped, or the same.
 
-The calibration does not reveal it, but the first stereo matches do: their disparity is negative.
+The calibration does not reveal it. Of swapped images, the first stereo matches do: their disparity
+is negative. So it is for most matches of an image with itself, whose disparities are noise.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from probevo.errors import InputError
+from probevo.sequences.frame import Frame
 from probevo.tracking.tracks import Tracks
 
 FRAMES_TO_SEE = 3
@@ -28,6 +32,10 @@ class SwappedImagesError(InputError):
     """The left images come from the right camera, which makes every result wrong."""
 
 
+class IdenticalImagesError(InputError):
+    """The left and right images are the same, which show no depth and no motion."""
+
+
 def count_matches(tracks: Tracks) -> tuple[int, int]:
     """Count the stereo matches of one step with positive and with negative disparity.
 
@@ -46,8 +54,16 @@ def looks_swapped(num_positive: int, num_negative: int) -> bool:
     return num_matches >= FEWEST_MATCHES and num_negative > MOST_BEHIND * num_matches
 
 
+def are_identical(frame: Frame) -> bool:
+    """Return whether the left and right images of a frame are the same, byte by byte."""
+    if frame.left is None or frame.right is None:
+        return False
+    return np.array_equal(frame.left, frame.right)
+
+
 class LeftRightCheck:
-    """Refuses a recording whose left images come from the right camera, by its first steps.
+    """Refuses a recording whose left images come from the right camera, or are its right ones, by
+    its first steps.
 
     Args:
         recording: its path, for the message.
@@ -60,19 +76,32 @@ class LeftRightCheck:
         self._num_positive = 0
         self._num_negative = 0
         self._num_seen = 0
+        self._are_identical = True
 
-    def see(self, tracks: Tracks) -> None:
+    def see(self, frame: Frame, tracks: Tracks) -> None:
         """Count the matches of one more frame, the first one included.
 
         Raises:
+            IdenticalImagesError: the left and right images so far are the same, and have matches.
             SwappedImagesError: nearly all matches so far have negative disparity.
         """
+        if self._num_seen > self._decides_at:
+            return
         num_positive, num_negative = count_matches(tracks)
         self._num_positive += num_positive
         self._num_negative += num_negative
-        if self._num_seen == self._decides_at:
-            check_left_right(self._num_positive, self._num_negative, self._recording)
         self._num_seen += 1
+        self._are_identical = self._are_identical and are_identical(frame)
+        if self._num_seen <= self._decides_at:
+            return
+        # Images without matches, such as black ones, may differ later on.
+        if self._are_identical and self._num_positive + self._num_negative >= FEWEST_MATCHES:
+            raise IdenticalImagesError(
+                self._recording,
+                f"left and right images are identical in the first {self._num_seen} frames.",
+                "They show no depth and no motion. Is one of the two cameras given twice?",
+            )
+        check_left_right(self._num_positive, self._num_negative, self._recording)
 
 
 def check_left_right(

@@ -111,7 +111,7 @@ class Extraction:
         odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
 
-        self._left_right.see(odometry.tracks)
+        self._left_right.see(frame, odometry.tracks)
         if self.on_frame is not None:
             self.on_frame(frame.index + 1)
         if frame.index == 0:

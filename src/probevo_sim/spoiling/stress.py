@@ -363,7 +363,7 @@ def _run(
     left_right = LeftRightCheck(sequence.path, count)
     for number, frame in enumerate(_prepared(sequence, count, config)):
         recorder.add(frame.stamp_ns, odometry.step(frame))
-        left_right.see(odometry.tracks)
+        left_right.see(frame, odometry.tracks)
         if look is not None and look.number == number and frame.left is not None:
             look.take(frame.left, odometry)
         on_one()
