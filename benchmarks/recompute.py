@@ -186,6 +186,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "there-and-back",
+        ("docs/accuracy.md",),
+        "python benchmarks/there_and_back.py",
+        minutes=3,
+        needs_data=True,
+    ),
+    Figure(
         "learning-spoiled",
         ("docs/learning-spoiled.md",),
         "python benchmarks/learning_spoiled.py",
