@@ -433,7 +433,7 @@ class StereoOdometry:
                     readings,
                     pose,
                     solution,
-                    common_mode=solved.calibrated.common_mode.columns,
+                    common_mode=solved.calibrated.of_images.columns,
                     reckoned=reckoned,
                 ),
             )

@@ -51,6 +51,10 @@ class CommonMode(NamedTuple):
     focal_gain: FloatArray
     """∂ξ/∂ε, f b being held, [6], m and rad."""
 
+    def times(self, matrix: FloatArray) -> CommonMode:
+        """Return that of a motion whose error is a matrix, [6, 6], times the error of this one."""
+        return CommonMode(*(matrix @ part for part in self))
+
     @staticmethod
     def none() -> CommonMode:
         """Return that of a motion on which no calibration has an influence."""

@@ -24,6 +24,7 @@ from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.rig_update import CommonMode, update_rig
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
 from probevo.geometry import se3
@@ -43,8 +44,10 @@ class CalibratedMotion:
     visual: VisualMotion
     rig: RigCalibration | None
     """The calibration after the step; None without self-calibration."""
+    of_images: CommonMode
+    """How errors of the calibration before the step move its motion by the images alone."""
     common_mode: CommonMode
-    """How errors of the calibration before the step move its motion."""
+    """How they move the solved motion, which other measurements hold."""
     jitter_cov: FloatArray | None
     """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without any."""
 
@@ -179,18 +182,24 @@ class SelfCalibratingEstimator:
                     corrected,
                     visual,
                     rig=rig,
+                    of_images=CommonMode.none(),
                     common_mode=CommonMode.none(),
                     jitter_cov=learned if rig is None else jitter_cov,
                 )
             # What the solve shows of the rig; solve again if that is more jitter than the solve
             # assumed.
             used = corrected.tracks.subset(visual.used)
-            updated, common_mode = update_rig(rig, used, visual.two_frames_only, self._camera)
+            updated, of_images = update_rig(rig, used, visual.two_frames_only, self._camera)
             if not repeats_left or not updated.jitter.exceeds(jitter_cov):
                 break
             jitter_cov = updated.jitter.cov
         return CalibratedMotion(
-            corrected, visual, rig=updated, common_mode=common_mode, jitter_cov=jitter_cov
+            corrected,
+            visual,
+            rig=updated,
+            of_images=of_images,
+            common_mode=_held_by(priors, visual.solution, of_images),
+            jitter_cov=jitter_cov,
         )
 
     def _rig_with_delay(self, found: CalibratedMotion, duration_s: float) -> RigCalibration | None:
@@ -209,3 +218,28 @@ class SelfCalibratingEstimator:
             # the new delay.
             return replace(prior, delay=rig.delay)
         return rig
+
+
+def _held_by(
+    priors: MotionPriors, solution: ReprojectionSolution | None, of_images: CommonMode
+) -> CommonMode:
+    """Return how errors of the calibration move a motion that other measurements hold.
+
+    With H U₀ = C of the images alone and P⁻¹ = H + Σ Jᵀ R⁻¹ J of the solve, U = P C is
+    (1 − P Σ Jᵀ R⁻¹ J) U₀.
+
+    Args:
+        priors: with these measurements.
+        solution: the solve; None if it is degenerate.
+        of_images: U₀.
+    """
+    if solution is None or not priors.measurements:
+        return of_images
+    values = {variable: np.eye(4) for one in priors.measurements for variable in one.variables}
+    values[priors.curr] = solution.T_curr_prev
+    information = np.zeros((6, 6))
+    for one in priors.measurements:
+        start = 6 * one.variables.index(priors.curr)
+        of_pose = slice(start, start + 6)
+        information += one.information(values)[of_pose, of_pose]
+    return of_images.times(np.eye(6) - solution.cov @ information)
