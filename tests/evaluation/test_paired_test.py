@@ -1,18 +1,28 @@
-"""The paired test: equally good runs are found to differ as often as its level says, no more."""
+"""The paired test: equally good runs hardly differ, and a better one is found.
+
+How one knows that it works: of pairs of equally good runs, at most 5 to 7 % are found to differ,
+whether the errors of steps are independent, alike (an autoregression of +0.6), or correct each
+other (a moving average of −0.9, as along the live path of a window). And where one run has three
+times the noise of the other, its drift over 100 steps is found to be larger, in each of these
+cases.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from probevo.arrays import FloatArray
+from probevo.evaluation.autoregression import series_of
 from probevo.evaluation.metrics import evaluate
 from probevo.evaluation.paired_test import (
     ERRORS,
-    mean_block_length,
+    FEWEST_STEPS,
+    exchanged_differences,
     paired_differences,
-    random_blocks,
 )
 from probevo.geometry import se3
 
@@ -24,24 +34,69 @@ def true_motions(count: int) -> FloatArray:
     return se3.exp(np.tile(STEP, (count, 1)))
 
 
-def noisy(T: FloatArray, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
-    return se3.exp(factor * SIGMA * rng.normal(size=(len(T), 6))) @ T
+def independent(count: int, rng: np.random.Generator) -> FloatArray:
+    """Errors of steps over their standard deviation, [count, 6]."""
+    return rng.normal(size=(count, 6))
 
 
-def test_the_level_of_the_test_holds() -> None:
-    """Of 200 pairs of equally good runs, at most so many differ that 5 % would be refuted."""
-    trials = 200
-    T = true_motions(20)
+def alike(count: int, rng: np.random.Generator) -> FloatArray:
+    """An autoregression of +0.6, after a start of 50 steps."""
+    series = series_of(np.array([1.0, -0.6]), 0.8 * rng.normal(size=(6, count + 50)))
+    return series[:, 50:].T
+
+
+def correcting(count: int, rng: np.random.Generator) -> FloatArray:
+    """Return errors of steps that each undo 0.9 of the noise of the one before."""
+    noise = rng.normal(size=(count + 1, 6))
+    return noise[1:] - 0.9 * noise[:-1]
+
+
+Errors = Callable[[int, np.random.Generator], FloatArray]
+
+
+def noisy(
+    T: FloatArray,
+    rng: np.random.Generator,
+    factor: float = 1.0,
+    errors: Errors = independent,
+) -> FloatArray:
+    return se3.exp(factor * SIGMA * errors(len(T), rng)) @ T
+
+
+@pytest.mark.parametrize("errors", [independent, alike, correcting])
+def test_the_level_of_the_test_holds(errors: Errors) -> None:
+    """Of 100 pairs of equally good runs, so many differ that 7 % is not refuted."""
+    trials = 100
+    T = true_motions(60)
     truth = se3.chain_motions(T)
     count = dict.fromkeys(ERRORS, 0)
     rng = np.random.default_rng(5)
     for _ in range(trials):
-        found = paired_differences(noisy(T, rng), noisy(T, rng), truth, rng, draws=99)
+        a = noisy(T, rng, errors=errors)
+        b = noisy(T, rng, errors=errors)
+        found = paired_differences(a, b, truth, rng, draws=19)
         for name in ERRORS:
             count[name] += found[name].is_significant
-    highest = binom.ppf(0.995, trials, 0.05)
+    highest = binom.ppf(0.995, trials, 0.07)
     assert max(count.values()) <= highest, count
-    assert min(count.values()) > 0, count  # it does not always say no
+    assert sum(count.values()) > 0, count  # it does not always say no
+
+
+@pytest.mark.parametrize("errors", [independent, alike, correcting])
+def test_a_run_of_three_times_the_noise_is_found_to_drift_more(errors: Errors) -> None:
+    """Of 20 pairs, so many differ that a power of 95 % is not refuted."""
+    trials = 20
+    T = true_motions(100)
+    truth = se3.chain_motions(T)
+    count = dict.fromkeys(("short_t_percent", "short_r_deg_per_m"), 0)
+    rng = np.random.default_rng(8)
+    for _ in range(trials):
+        a = noisy(T, rng, errors=errors)
+        b = noisy(T, rng, 3.0, errors)
+        found = paired_differences(a, b, truth, rng, draws=39)
+        for name in count:
+            count[name] += found[name].is_significant and found[name].error_a < found[name].error_b
+    assert min(count.values()) >= binom.ppf(0.005, trials, 0.95), count
 
 
 def test_a_run_that_turns_too_far_is_found_and_its_reduction_is_that_of_the_errors() -> None:
@@ -77,7 +132,7 @@ def test_all_figures_are_those_of_the_metrics() -> None:
 
 
 def test_equal_runs_do_not_differ() -> None:
-    T = true_motions(20)
+    T = true_motions(FEWEST_STEPS)
     found = paired_differences(T, T, se3.chain_motions(T), np.random.default_rng(0), draws=19)
     assert not any(difference.is_significant for difference in found.values())
     assert {difference.p_value for difference in found.values()} == {1.0}
@@ -97,41 +152,33 @@ def test_exchanges_that_give_the_very_difference_of_the_runs_count() -> None:
 
 
 def test_too_few_steps_or_true_poses_give_nothing() -> None:
-    T = true_motions(5)
+    T = true_motions(FEWEST_STEPS - 1)
     rng = np.random.default_rng(0)
     assert paired_differences(T, T, se3.chain_motions(T), rng) == {}
-    T = true_motions(20)
-    truth = np.full((21, 4, 4), np.nan)
+    T = true_motions(FEWEST_STEPS)
+    truth = np.full((FEWEST_STEPS + 1, 4, 4), np.nan)
     truth[3] = np.eye(4)
     assert paired_differences(T, T, truth, rng) == {}
 
 
-def test_blocks_have_their_mean_length_and_half_of_all_steps_are_exchanged() -> None:
+def test_without_correlation_each_difference_keeps_its_size_and_half_of_all_their_signs() -> None:
     rng = np.random.default_rng(2)
-    exchanged = random_blocks(400, 300, 8.0, rng)
-    assert exchanged.mean() == pytest.approx(0.5, abs=0.02)
-    # Neighbours differ where a block begins, at one step in eight, and the coin says so, ½.
-    changes = exchanged[:, 1:] != exchanged[:, :-1]
-    assert changes.mean() == pytest.approx(0.5 / 8.0, rel=0.03)
+    difference = independent(300, rng)
+    drawn = exchanged_differences(difference, [np.ones(1)] * 6, 400, rng)
+    np.testing.assert_allclose(np.abs(drawn), np.tile(np.abs(difference), (400, 1, 1)), rtol=1e-12)
+    sign = drawn / difference
+    assert np.ptp(sign, axis=2).max() < 1e-12  # all axes of a step at once
+    assert sign.mean() == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("correlation", [0.5, 0.8])
-def test_block_length_is_that_of_the_theory_for_an_autoregressive_series(
-    correlation: float,
+@pytest.mark.parametrize("coefficient", [-0.6, 0.6])
+def test_the_sum_of_exchanged_differences_has_the_variance_of_the_model(
+    coefficient: float,
 ) -> None:
-    """AR(1): Σ|k|R(k) / ΣR(k) is 2ρ/(1 − ρ²); the length is its square, times K, to the ⅓."""
-    rng = np.random.default_rng(3)
-    count = 20000
-    series = np.zeros(count)
-    noise = rng.normal(size=count)
-    for k in range(1, count):
-        series[k] = correlation * series[k - 1] + noise[k]
-    ratio = 2.0 * correlation / (1.0 - correlation**2)
-    expected = (ratio**2 * count) ** (1.0 / 3.0)
-    assert mean_block_length(series[:, None]) == pytest.approx(expected, rel=0.2)
-
-
-def test_block_length_of_white_noise_is_short_and_of_a_constant_one() -> None:
-    white = np.random.default_rng(4).normal(size=(1000, 1))
-    assert mean_block_length(white) < 5.0
-    assert mean_block_length(np.ones((50, 6))) == 1.0
+    """Σ x of an autoregression: its variance is K times that of the innovations over (Σ a)²."""
+    rng = np.random.default_rng(4)
+    model = np.array([1.0, coefficient])
+    difference = series_of(model, rng.normal(size=(6, 2000))).T
+    drawn = exchanged_differences(difference, [model] * 6, 400, rng)
+    variance = np.mean(drawn.sum(axis=1) ** 2)
+    assert variance == pytest.approx(2000.0 / (1.0 + coefficient) ** 2, rel=0.1)

@@ -245,9 +245,35 @@ def test_the_verdict_names_the_better_one_and_by_how_much(entries: tuple[Entry, 
     """The first run has no error, so that its drift is less by 100 %; the interval ends there."""
     (sentence,) = verdicts(Comparison(entries))
     number = r"\d+(\.\d)?"
-    clause = rf"fixed drifts less in {{}} than student-t by 100 % \(95 %: {number} to 100 %\)"
+    clause = (
+        r"fixed drifts less in {} on this recording than student-t by 100 %"
+        rf" \(95 %: {number} to 100 %\)"
+    )
     pattern = rf"hill: {clause.format('translation')}; {clause.format('rotation')}\."
     assert re.fullmatch(pattern, sentence), sentence
+
+
+def test_a_difference_is_said_to_hold_for_the_recording(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
+    note = "What differs on a recording need not on the next"
+    assert note in page_of(Comparison(entries), tmp_path)
+    alike = Comparison((entries[1], replace(entries[1], estimator="third")))
+    assert note not in page_of(alike, tmp_path)
+
+
+@pytest.mark.parametrize(("frames", "speed"), [(20, 1.0), (40, 0.1)])
+def test_a_recording_that_is_too_short_for_a_verdict_is_said_to_be(
+    make_run: Callable[..., RunResult], frames: int, speed: float
+) -> None:
+    """Of too few steps, or of less than 10 m."""
+    run = make_run(frames, speed)
+    short = tuple(entry(name, run, run.T_world_cam) for name in ("fixed", "student-t"))
+    sentence = (
+        "hill: too short to tell who drifts less, which takes 25 steps and 10 m between true poses."
+    )
+    assert verdicts(Comparison(short)) == (sentence,)
+    assert verdicts(Comparison(short[:1])) == ()
 
 
 def test_a_run_that_was_stopped_takes_no_part(
@@ -433,7 +459,7 @@ def test_names_that_come_again_are_numbered() -> None:
 
 def test_the_best_of_many_is_found(make_run: Callable[..., RunResult]) -> None:
     """Of eleven, 55 pairs are compared, and p-values have to be as small as that asks for."""
-    right = make_run(20)
+    right = make_run(30)
     entries = []
     for k in range(11):
         motions = se3.exp(np.array([0, 0, 0, 0, 1e-3 * k, 0])) @ right.T_curr_prev

@@ -175,13 +175,19 @@ def comparison_table(
     return Table(tuple(columns), tuple(rows))
 
 
-def _rankings(entries: Sequence[Entry]) -> dict[str, Ranking]:
-    """Rank the runs over one sequence by each of their errors."""
+def _ranked(entries: Sequence[Entry]) -> list[Entry]:
+    """Select the runs over one sequence that are ranked; none unless there are two at least."""
     taking_part = [entry for entry in entries if entry.has_truth and not entry.learned_from_it]
     # Only runs of the full length are compared: one that was stopped lacks frames.
     longest = max((len(entry.result) for entry in taking_part), default=0)
     whole = [entry for entry in taking_part if len(entry.result) == longest]
-    if len(whole) < 2 or whole[0].truth is None:
+    return [] if len(whole) < 2 or whole[0].truth is None else whole
+
+
+def _rankings(entries: Sequence[Entry]) -> dict[str, Ranking]:
+    """Rank the runs over one sequence by each of their errors."""
+    whole = _ranked(entries)
+    if not whole or whole[0].truth is None:
         return {}
     return rank(
         # Of the path, which a sensor of poses may have corrected: it is the path that has errors.
@@ -214,10 +220,13 @@ def label(entry: Entry) -> str:
 def verdicts(comparison: Comparison) -> tuple[str, ...]:
     """Say for each sequence, in one sentence, who drifts less than whom, and by how much.
 
-    A sequence that is too short for drift, or without two runs to compare, has none.
+    A sequence without two runs to compare has none; of one that is too short, it says so.
     """
-    sentences = {name: verdict(rankings) for name, rankings in comparison.rankings.items()}
-    return tuple(f"{name}: {sentence}" for name, sentence in sentences.items() if sentence)
+    return tuple(
+        f"{name}: {verdict(rankings)}"
+        for name, rankings in comparison.rankings.items()
+        if _ranked(comparison.of(name))
+    )
 
 
 def truth_note(comparison: Comparison) -> tuple[str, ...]:
@@ -231,7 +240,7 @@ def truth_note(comparison: Comparison) -> tuple[str, ...]:
 
 
 def column_notes(comparison: Comparison) -> tuple[str, ...]:
-    """Explain the columns of asides, and the marks, that the table of a comparison has."""
+    """Explain the columns of asides, the marks that the table has, and what a difference means."""
     explanations = {
         SOLVED: "Solved: steps that were solved, and not dead-reckoned.",
         ANEES: (
@@ -243,6 +252,16 @@ def column_notes(comparison: Comparison) -> tuple[str, ...]:
         ),
     }
     notes = [text for column, text in explanations.items() if column in comparison.columns]
+    if any(
+        found.is_significant
+        for rankings in comparison.rankings.values()
+        for ranking in rankings.values()
+        for found in ranking.against.values()
+    ):
+        notes.append(
+            "What differs on a recording need not on the next: an error that is constant all"
+            " through one may be another there."
+        )
     if any(entry.learned_from_it for entry in comparison.entries):
         notes.append("†: learned from a recording of this name, and so no test of it.")
     return tuple(notes)

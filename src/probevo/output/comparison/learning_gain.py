@@ -33,8 +33,8 @@ def learning_gains(
         learned: the estimators whose noise was learned.
 
     Returns:
-        A sentence for each sequence and learned model; none without truth or with fewer than ten
-        steps.
+        A sentence for each sequence and learned model; none without truth, or with too few steps
+        for a test.
     """
     sentences = []
     for name in comparison.sequences:

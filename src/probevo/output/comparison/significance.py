@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.evaluation.paired_test import DRAWS, PairedDifference, paired_differences
+from probevo.evaluation.paired_test import (
+    DRAWS,
+    FEWEST_STEPS,
+    PairedDifference,
+    paired_differences,
+)
+from probevo.evaluation.segments import SHORT_LENGTHS_M
 
 CONFIDENCE = 0.95
 """Probability that, by one error on one recording, none of the differences that are called
@@ -93,7 +99,7 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
         rankings: as ``rank`` returns them, by the name of the error.
 
     Returns:
-        One sentence; nothing if the recording is too short for drift.
+        One sentence.
     """
     clauses = []
     alike: dict[frozenset[str], list[str]] = {}
@@ -107,7 +113,9 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
             if found.is_significant
         ]
         if worse:
-            clauses.append(f"{ranking.best} drifts less in {name} {listed(worse)}")
+            clauses.append(
+                f"{ranking.best} drifts less in {name} on this recording {listed(worse)}"
+            )
         close = [rival for rival, found in ranking.against.items() if not found.is_significant]
         if close:
             alike.setdefault(frozenset({ranking.best, *close}), []).append(name)
@@ -116,7 +124,12 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
         " recording"
         for runs, names in alike.items()
     ]
-    return f"{'; '.join(clauses)}." if clauses else ""
+    if not clauses:
+        clauses.append(
+            "too short to tell who drifts less, which takes"
+            f" {FEWEST_STEPS} steps and {min(SHORT_LENGTHS_M):.0f} m between true poses"
+        )
+    return f"{'; '.join(clauses)}."
 
 
 def _percent(found: PairedDifference) -> str:
