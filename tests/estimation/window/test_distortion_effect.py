@@ -14,6 +14,11 @@ from worlds import FORWARD, image_errors
 STEPS = 5
 
 
+def of_lenses(distortion_px: FloatArray) -> ImageErrors:
+    """Return an estimate of a field that is the same everywhere (``window.field_variation``)."""
+    return replace(image_errors(distortion_px=distortion_px), distortion_sigma_px=0.0)
+
+
 def walked(
     rng: np.random.Generator,
 ) -> tuple[DistortionEffect, list[FloatArray], list[FloatArray], ImageErrors]:
@@ -22,7 +27,7 @@ def walked(
     effect = DistortionEffect.none()
     gains = [0.01 * rng.normal(size=(6, NUM_COEFFICIENTS)) for _ in range(STEPS)]
     used = [0.1 * rng.normal(size=NUM_COEFFICIENTS) for _ in range(STEPS)]
-    errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
+    errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     for gain, used_px in zip(gains, used, strict=True):
         effect = effect.carried_to_new(-1, FORWARD)
         effect = effect.with_step(gain, np.zeros(6), used_px=used_px, errors=errors)
@@ -61,7 +66,7 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
     """With a field that is known but for it: the root of the second moment is the sum over the
     steps, of which one to the right takes back one to the left."""
     rng = np.random.default_rng(4)
-    errors = image_errors(distortion_px=np.zeros(NUM_COEFFICIENTS))
+    errors = of_lenses(np.zeros(NUM_COEFFICIENTS))
     with_focal = rng.normal(size=len(errors.mean))
     errors = replace(errors, cov=1e-9 * np.eye(len(errors.mean)), with_focal=with_focal)
     adjoint = se3.adjoint(FORWARD)
@@ -84,7 +89,7 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
 
 def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
     rng = np.random.default_rng(2)
-    errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
+    errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     errors = replace(errors, cov=1e-18 * np.eye(len(errors.mean)))
     effect = DistortionEffect.none()
     for _ in range(STEPS):

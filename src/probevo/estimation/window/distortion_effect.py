@@ -11,7 +11,8 @@ and the pose is off by S_k c − s_k. With the newest estimate, c ~ N(ĉ, Σ), i
     S_k Σ S_kᵀ + (S_k ĉ − s_k)(S_k ĉ − s_k)ᵀ.
 
 So what is learned of the lenses later makes earlier poses more certain, or less, if it is other
-than what they were corrected by.
+than what they were corrected by. Not all of the field is that of the lenses
+(``window.field_variation``).
 
 The focal length is not corrected. An error ε of its logarithm moves each motion by the gain ∂ξ/∂ε,
 which adds up to F_k as G_k does to S_k, and moves the estimate of c by ∂c/∂ε, so that the second
@@ -27,9 +28,8 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
+from probevo.estimation.window.field_variation import POSE, FieldVariation
 from probevo.geometry import se3
-
-POSE = 6
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,10 @@ class DistortionEffect:
     """∂c/∂ε, [NUM_COEFFICIENTS], px."""
     focal_rms: float
     """Root mean square of ε."""
+    variation: FieldVariation
+    """The part of the field that changes from place to place."""
+    sigma_px: float
+    """τ, the standard deviation of the coefficients."""
 
     @staticmethod
     def none() -> DistortionEffect:
@@ -62,6 +66,8 @@ class DistortionEffect:
             focal_sensitivity=np.zeros((1, POSE)),
             shift_by_focal=np.zeros(NUM_COEFFICIENTS),
             focal_rms=0.0,
+            variation=FieldVariation.none(),
+            sigma_px=0.0,
         )
 
     def subset(self, frames: BoolArray) -> DistortionEffect:
@@ -71,6 +77,7 @@ class DistortionEffect:
             sensitivity=self.sensitivity[frames],
             corrected=self.corrected[frames],
             focal_sensitivity=self.focal_sensitivity[frames],
+            variation=self.variation.subset(frames),
         )
 
     def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> DistortionEffect:
@@ -83,6 +90,7 @@ class DistortionEffect:
             focal_sensitivity=np.concatenate(
                 [self.focal_sensitivity, (adjoint @ self.focal_sensitivity[prev])[None]]
             ),
+            variation=self.variation.carried_to_new(prev, T_curr_prev),
         )
 
     def with_step(
@@ -115,13 +123,16 @@ class DistortionEffect:
             focal_sensitivity=focal_sensitivity,
             shift_by_focal=errors.distortion_shift_by_focal,
             focal_rms=errors.focal_rms,
+            variation=self.variation.with_step(gain),
+            sigma_px=errors.distortion_sigma_px,
         )
 
     def of_pose(self, slot: int) -> FloatArray:
         """Return the second moment of the error of a pose, [6, 6]."""
-        return self._second_moment(
+        of_lenses = self._second_moment(
             self.sensitivity[slot], self.corrected[slot], self.focal_sensitivity[slot]
         )
+        return of_lenses + self.variation.of_pose(slot, self.sigma_px)
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
         """Return that of the motion between two frames, with its adjoint, [6, 6]."""
