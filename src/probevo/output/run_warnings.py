@@ -39,8 +39,9 @@ SCALE_SIGMAS = 3.0
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
-        "dark, blurred, featureless or repeated images, a pair that is not rectified or not"
-        " simultaneous, or images of more than two megapixels (scale these down: --resized)"
+        "dark, blurred, featureless or repeated images, a pair that is not rectified, not"
+        " simultaneous or not exposed alike, or images of more than two megapixels (scale these"
+        " down: --resized)"
     ),
     Status.NOT_CONVERGED: (
         "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
