@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probevo.camera.focal_length import FocalLengthError
+from probevo.camera.rig_calibration import RowErrors
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -25,6 +26,7 @@ def test_a_run_comes_back_as_it_was(
     if outside is not None:
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
         run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
+        run = replace(run, row_errors=RowErrors(sigmas=11.5, largest_px=12.9))
         run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12, known_m=1.65))
         run = replace(
             run, right_delay_s=-0.0015, imu_noise_factor=2.5, stopped="stopped by Ctrl-C."

@@ -15,12 +15,13 @@ from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
-from probevo.output.run_result import RunRecorder
+from probevo.output.run_result import RunRecorder, RunResult
 from probevo.output.run_warnings import (
     camera_warning,
     focal_warning,
     imu_warning,
     repetition_warning,
+    rows_warning,
     run_warnings,
     scale_warning,
     status_warning,
@@ -29,6 +30,7 @@ from probevo.output.run_warnings import (
     unsolved_warning,
 )
 from probevo.sequences.missing_data import Defect, MissingData
+from probevo.tracking.tracks import OTHER_ROW
 from worlds import CAMERA, FORWARD, drive
 
 
@@ -266,6 +268,43 @@ def test_images_of_other_frames_are_named_with_the_cure() -> None:
     assert left.startswith("The left images are 2 frames late")
     assert "2 frames earlier" in left
     assert left.endswith("leave out the first 2 left images.")
+
+
+def _rolled(roll_rad: float, num_elsewhere: int = 0) -> RunResult:
+    """Return a run over features whose right camera is rolled, and matches that look alike in other
+    rows in its last step."""
+    recorder = RunRecorder()
+    odometry = pv.StereoOdometry(CAMERA)
+    for frame in drive(np.random.default_rng(0), 12, points=150):
+        assert frame.features is not None
+        pixels = frame.features.pixels.copy()
+        right = pixels[:, 2:] - [CAMERA.cu_px, CAMERA.cv_px]
+        pixels[:, 2:] += roll_rad * np.column_stack([-right[:, 1], right[:, 0]])
+        features = replace(frame.features, pixels=pixels)
+        motion = odometry.step(replace(frame, features=features))
+        recorder.add(frame.stamp_ns, motion, rejected={OTHER_ROW: num_elsewhere})
+    assert odometry.rig is not None
+    return replace(recorder.result(), row_errors=odometry.rig.row_errors(CAMERA))
+
+
+@pytest.mark.parametrize(("roll_deg", "warned"), [(0.0, False), (0.1, False), (1.0, True)])
+def test_rows_that_no_rectification_leaves_are_warned_of(roll_deg: float, warned: bool) -> None:
+    said = run_warnings(_rolled(np.radians(roll_deg))).get("Rows of left and right images differ")
+    assert (said is not None) == warned
+    if said is not None:
+        assert said.startswith("Rows of right images are off by up to ")
+        assert "probevo calibrate-check SEQUENCE" in said
+
+
+def test_matches_that_are_mostly_in_other_rows_are_warned_of() -> None:
+    """Beyond the rows in which matches are looked for, the estimate of the rows knows of no error;
+    right images of other frames have a warning of their own."""
+    result = _rolled(0.0, num_elsewhere=1000)
+    said = rows_warning(result)
+    assert said is not None
+    assert said.startswith("12,000 stereo matches look alike in other rows; ")
+    assert rows_warning(replace(result, right_late_frames=1)) is None
+    assert rows_warning(replace(result, row_errors=None, rejected={})) is None
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Points are tracked as before where the exposure jumps, and where the two cameras have their own."""
+"""Points are tracked as before where the exposure jumps, and where each camera has its own."""
 
 import cv2
 import numpy as np

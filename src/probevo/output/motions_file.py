@@ -18,6 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.focal_length import FocalLengthError
+from probevo.camera.rig_calibration import RowErrors
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -99,6 +100,7 @@ _OPTIONAL = {
     "pose_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
+    "row_errors": _Optional((2,), lambda array: RowErrors(*array.tolist())),
     "right_delay_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),

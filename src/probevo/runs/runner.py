@@ -272,6 +272,7 @@ class _Records:
             accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
             ground_height=self.heights.height(),
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
+            row_errors=None if rig is None else rig.row_errors(sequence.camera),
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
             focal_length=None if rig is None else rig.focal.error(),
             smoothed=None if smoothed is None else smoothed.T_world_cam,
