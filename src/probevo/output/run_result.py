@@ -28,6 +28,7 @@ from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
+from probevo.tracking.fixed_features import FixedFeatures
 
 _COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
 """Where the common-mode part lies in what a recorder keeps of a step."""
@@ -139,6 +140,9 @@ class RunResult:
     row_errors: RowErrors | None = None
     """How far the rows of the right images are off, as estimated at the end; None without
     self-calibration, and in files of versions that did not store it."""
+    fixed_features: FixedFeatures | None = None
+    """Features that stayed where they are although the motion should have moved them; None without
+    any, and in files of versions that did not store it."""
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""
