@@ -237,8 +237,9 @@ def run(world: World, name: str) -> tuple[RunResult, FloatArray]:
     recorder = RunRecorder()
     for number, frame in enumerate(kept):
         motion = odometry.step(replace(frame, index=number, imu=None))
-        recorder.add(frame.stamp_ns, motion)
-    return recorder.result(), truth
+        recorder.add(frame.stamp_ns, motion, rejected=odometry.tracks.rejected)
+    row_errors = odometry.rig.row_errors(odometry.camera)
+    return replace(recorder.result(), row_errors=row_errors), truth
 
 
 def row(world: World, name: str) -> list[str]:

@@ -201,3 +201,18 @@ def test_images_that_repeat_are_marked(tmp_path: Path, capsys: pytest.CaptureFix
                 recording / side / f"{copied - 1:06d}.png", recording / side / f"{copied:06d}.png"
             )
     assert info(recording, capsys)["! repetition"].startswith("The images of 9 of 18 frames")
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5, 0.1])
+def test_cameras_that_are_not_exposed_alike_are_marked(
+    gain: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_wall(tmp_path / "wall", 4)
+    for path in sorted((recording / "right").iterdir()):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        write_image(path, np.round(gain * image).astype(np.uint8))
+    rows = info(recording, capsys)
+    assert ("! exposure" in rows) == (gain < 1.0)
+    if gain < 1.0:
+        assert rows["! exposure"].startswith(f"right images have {gain:.2g} times the contrast")

@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -27,7 +28,7 @@ from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.without_imu import WithoutImu
 from sequences.damage import cut, replace
-from sequences.recordings import write_folder_sequence, write_tracks
+from sequences.recordings import write_folder_sequence, write_image, write_tracks
 from strips import write_strips
 from worlds import Homesick
 
@@ -545,6 +546,20 @@ def test_a_baseline_in_millimetres_is_warned_of(
     main(["run", str(recording), "--out", str(tmp_path / "out")])
     warned = capsys.readouterr().err
     assert re.search(r"warning: baseline: [0-9.]+ m is unusual. Is it in metres\?", warned)
+
+
+@pytest.mark.parametrize("rows", [0, 5])
+def test_a_pair_that_is_not_rectified_is_warned_of(
+    rows: int, wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    for path in (recording / "right").iterdir():
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        write_image(path, np.roll(image, rows, axis=0))
+    main(["run", str(recording), "--out", str(tmp_path / "out")])
+    warned = capsys.readouterr().err
+    assert ("stereo matches look alike in other rows" in warned) == (rows > 0)
 
 
 def test_frames_without_texture_or_features_end_well_but_are_warned_of(

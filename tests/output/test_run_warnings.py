@@ -1,6 +1,7 @@
 """The warnings of a run: which steps count, and what is said of them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
-from probevo.output.run_result import RunRecorder
+from probevo.output.run_result import RunRecorder, RunResult
 from probevo.output.run_warnings import (
     camera_warning,
+    fixed_warning,
     focal_warning,
     imu_warning,
     repetition_warning,
+    rows_warning,
     run_warnings,
     scale_warning,
     status_warning,
@@ -28,8 +31,12 @@ from probevo.output.run_warnings import (
     truth_warning,
     unsolved_warning,
 )
+from probevo.runs.runner import run_sequence
 from probevo.sequences.missing_data import Defect, MissingData
-from worlds import CAMERA, FORWARD, drive
+from probevo.tracking.fixed_features import FixedFeatures
+from probevo.tracking.tracks import OTHER_ROW
+from sequences.recordings import write_tracks
+from worlds import CAMERA, FORWARD, drive, random_pixels
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s not in (Status.FIRST, Status.OK)])
@@ -266,6 +273,90 @@ def test_images_of_other_frames_are_named_with_the_cure() -> None:
     assert left.startswith("The left images are 2 frames late")
     assert "2 frames earlier" in left
     assert left.endswith("leave out the first 2 left images.")
+
+
+def _rolled(roll_rad: float, num_elsewhere: int = 0) -> RunResult:
+    """Return a run over features whose right camera is rolled, and matches that look alike in other
+    rows in its last step."""
+    recorder = RunRecorder()
+    odometry = pv.StereoOdometry(CAMERA)
+    for frame in drive(np.random.default_rng(0), 12, points=150):
+        assert frame.features is not None
+        pixels = frame.features.pixels.copy()
+        right = pixels[:, 2:] - [CAMERA.cu_px, CAMERA.cv_px]
+        pixels[:, 2:] += roll_rad * np.column_stack([-right[:, 1], right[:, 0]])
+        features = replace(frame.features, pixels=pixels)
+        motion = odometry.step(replace(frame, features=features))
+        recorder.add(frame.stamp_ns, motion, rejected={OTHER_ROW: num_elsewhere})
+    assert odometry.rig is not None
+    return replace(recorder.result(), row_errors=odometry.rig.row_errors(CAMERA))
+
+
+@pytest.mark.parametrize(("roll_deg", "warned"), [(0.0, False), (0.1, False), (1.0, True)])
+def test_rows_that_no_rectification_leaves_are_warned_of(roll_deg: float, warned: bool) -> None:
+    said = run_warnings(_rolled(np.radians(roll_deg))).get("Rows of left and right images differ")
+    assert (said is not None) == warned
+    if said is not None:
+        assert said.startswith("Rows of right images are off by up to ")
+        assert "probevo calibrate-check SEQUENCE" in said
+
+
+def test_matches_that_are_mostly_in_other_rows_are_warned_of() -> None:
+    """Beyond the rows in which matches are looked for, the estimate of the rows knows of no error;
+    right images of other frames have a warning of their own."""
+    result = _rolled(0.0, num_elsewhere=1000)
+    said = rows_warning(result)
+    assert said is not None
+    assert said.startswith("12,000 stereo matches look alike in other rows; ")
+    assert rows_warning(replace(result, right_late_frames=1)) is None
+    assert rows_warning(replace(result, row_errors=None, rejected={})) is None
+
+
+@pytest.mark.parametrize(("num_fixed", "warned"), [(0, False), (40, True)])
+def test_a_part_of_the_vehicle_in_view_is_warned_of(
+    num_fixed: int, warned: bool, tmp_path: Path
+) -> None:
+    """Features of its own stay where they are in both images, while the others pass by."""
+    rng = np.random.default_rng(6)
+    fixed_px = random_pixels(rng, num_fixed, (2.0, 4.0))
+    path = _write_features(tmp_path, drive(rng, 8, points=120), fixed_px)
+    run = run_sequence(pv.open_sequence(path), {}, tmp_path / "out")
+    said = run_warnings(run.result).get("A part of the vehicle in view")
+    assert (said is not None) == warned
+    if said is not None:
+        assert "stayed within 0.5 px in both images, around (u, v) = (" in said
+        assert said.endswith("Mask it: --mask-left.")
+    assert fixed_warning(FixedFeatures(40_000, 39, (0.0, 0.0), (1.0, 1.0))) is None
+    assert fixed_warning(FixedFeatures(100, 29, (0.0, 0.0), (1.0, 1.0))) is None
+
+
+def _write_features(folder: Path, frames: list[pv.Frame], fixed_px: FloatArray) -> Path:
+    """Write a tracks file of the features of frames, and of others that stay where they are but for
+    noise, [M, 4], px."""
+    rng = np.random.default_rng(7)
+    rows = []
+    for frame in frames:
+        features = frame.features
+        assert features is not None
+        fixed = fixed_px + 0.1 * rng.normal(size=fixed_px.shape)
+        ids = np.r_[features.ids, 10_000 + np.arange(len(fixed))]
+        pixels = np.vstack([features.pixels, fixed])
+        rows.append(np.column_stack([np.full(len(ids), frame.index), ids, pixels]))
+    table = np.concatenate(rows)
+    intrinsics = [CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px, CAMERA.baseline_m]
+    return write_tracks(
+        folder,
+        len(frames),
+        frame=table[:, 0].astype(np.int32),
+        track=table[:, 1].astype(np.int32),
+        uv=table[:, 2:].astype(np.float32),
+        camera=np.array(intrinsics),
+        omega=None,
+        C_cam_imu=None,
+        p_imu_cam=None,
+        velocity=None,
+        T_world_cam=None,
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""After a jump of the exposure, points are tracked as before."""
+"""Points are tracked as before where the exposure jumps, and where each camera has its own."""
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from probevo.sequences.prepared_images import Pyramid
 from probevo.tracking.contrast import with_contrast_of
 from probevo.tracking.image_tracker import ImageTracker
 from probevo.tracking.lucas_kanade import build_pyramid
+from probevo.tracking.preparation import high_pass, prepare_images
 from probevo.tracking.tracker import TrackingState
 
 CONFIG = TrackingConfig()
@@ -64,26 +65,52 @@ def test_without_contrast_there_is_nothing_to_adapt() -> None:
 def test_tracks_survive_a_jump_of_the_exposure(gain: float) -> None:
     """Down and up again, a camera that moves by three pixels keeps nine tenths of the tracks that
     it keeps in constant light."""
-    width, _ = SIZE_PX
-    camera = pv.StereoCamera.centered(400.0, 0.2, SIZE_PX)
-    texture = textured()
-    tracker = ImageTracker(camera, CONFIG)
-
-    def num_tracks(gains: list[float]) -> list[int]:
-        """Return how many tracks each frame but the first has."""
-        state = TrackingState.none()
-        counts = []
-        for index, each in enumerate(gains):
-            left = exposed(texture[:, 3 * index : 3 * index + width], each)
-            right = exposed(texture[:, 3 * index + DISPARITY_PX :][:, :width], each)
-            frame = Frame(index, 100_000_000 * index, left=left, right=right)
-            tracked = tracker.track(state, frame, np.eye(4))
-            state = tracked.state
-            counts.append(len(tracked.tracks))
-        return counts[1:]
-
     steady = num_tracks([1.0, 1.0, 1.0])
     flickering = num_tracks([1.0, gain, 1.0])
     assert min(steady) > 100
     for count, usual in zip(flickering, steady, strict=True):
         assert count > 0.9 * usual
+
+
+@pytest.mark.parametrize("gain", [0.2, 0.35, 0.5, 0.8, 1.5])
+def test_cameras_with_exposures_of_their_own_have_as_many_tracks(gain: float) -> None:
+    """Nine tenths of those of two cameras that are exposed alike."""
+    left = min(1.0, 1.0 / gain)  # where the right image has the gain, nothing is white
+    alike = num_tracks([left, left, left])
+    different = num_tracks([left, left, left], right_gain=gain)
+    assert min(alike) > 100
+    for count, usual in zip(different, alike, strict=True):
+        assert count > 0.9 * usual
+
+
+def test_a_pair_that_is_exposed_alike_is_prepared_as_it_is() -> None:
+    """What only one camera sees is no other exposure."""
+    left = exposed(textured(), 1.0)
+    right = exposed(textured(), 0.9)
+    prepared = prepare_images(Frame(0, 0, left=left, right=right), CONFIG)
+    wanted = high_pass(right, CONFIG)
+    np.testing.assert_array_equal(prepared.right[0], wanted)
+
+
+def num_tracks(gains: list[float], right_gain: float = 1.0) -> list[int]:
+    """Return how many tracks each frame but the first has, of a camera that moves by three pixels.
+
+    Args:
+        gains: of both images of each frame.
+        right_gain: further gain of the right images.
+    """
+    width, _ = SIZE_PX
+    camera = pv.StereoCamera.centered(400.0, 0.2, SIZE_PX)
+    texture = textured()
+    tracker = ImageTracker(camera, CONFIG)
+    state = TrackingState.none()
+    counts = []
+    for index, gain in enumerate(gains):
+        left = exposed(texture[:, 3 * index : 3 * index + width], gain)
+        right = texture[:, 3 * index + DISPARITY_PX :][:, :width]
+        right = exposed(right, gain * right_gain)
+        frame = Frame(index, 100_000_000 * index, left=left, right=right)
+        tracked = tracker.track(state, frame, np.eye(4))
+        state = tracked.state
+        counts.append(len(tracked.tracks))
+    return counts[1:]

@@ -242,6 +242,14 @@ def test_rows_that_differ_are_counted(frames: list[Frame]) -> None:
     assert tracks.rejected["rows differ"] > 60
 
 
+def test_windows_that_look_different_in_another_row_have_no_match(frames: list[Frame]) -> None:
+    """Noise leads Lucas–Kanade anywhere, which says nothing of the rows."""
+    noise = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX), np.uint8)
+    tracks = follow([frames[0], replace(frames[1], right=noise)])
+    assert tracks.rejected["rows differ"] < 5
+    assert tracks.rejected["no stereo match"] > 60
+
+
 def test_swapped_cameras_show_as_negative_disparity(frames: list[Frame]) -> None:
     swapped = [replace(frame, left=frame.right, right=frame.left) for frame in frames[:2]]
     tracks = follow(swapped)

@@ -30,6 +30,7 @@ robust least squares.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,7 +65,19 @@ CORRELATED_FEATURES = 20.0
 in successive frames."""
 ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
+PLACES = 9
+"""Columns and rows of the grid over the image on which its largest row offset is looked for; a
+polynomial of the third degree has few extrema, and they are at the border."""
 NO_DISPARITY_ERROR_PX = np.zeros(2)
+
+
+class RowErrors(NamedTuple):
+    """How far the rows of the right image are off by an estimate of the rig."""
+
+    sigmas: float
+    """Largest coefficient, in standard deviations of its prior."""
+    largest_px: float
+    """Largest offset |v_r − v_l| over the image, px."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +114,20 @@ class RigCalibration:
     def has_seen_rows(self) -> bool:
         """Whether the row offsets of a frame are in the estimate."""
         return bool(self.rows_information[0, 0] > ROW_SIGMA_PX[0] ** -2.0)
+
+    def row_errors(self, camera: StereoCamera) -> RowErrors:
+        """Return how far the rows are off, over the image of a camera."""
+        # Of a camera without a size, the principal point is taken for the middle of the image.
+        width, height = camera.size_px or (2.0 * camera.cu_px + 1.0, 2.0 * camera.cv_px + 1.0)
+        u, v = np.meshgrid(
+            np.linspace(0.0, width - 1.0, PLACES), np.linspace(0.0, height - 1.0, PLACES)
+        )
+        pixels = np.column_stack([u.ravel(), v.ravel(), u.ravel(), v.ravel()])
+        offsets_px = row_basis(pixels, camera) @ self.rows
+        return RowErrors(
+            sigmas=float(np.abs(self.rows / ROW_SIGMA_PX).max()),
+            largest_px=float(np.abs(offsets_px).max()),
+        )
 
     @property
     def disparity(self) -> FloatArray:

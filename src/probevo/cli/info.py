@@ -81,6 +81,7 @@ def main(words: list[str]) -> None:
     try:
         rows += examine(sequence)
         rows += _order_warnings(sequence)
+        rows += _exposure_warnings(sequence)
         rows += _imu_warnings(sequence)
     finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
@@ -295,6 +296,30 @@ def _order_warnings(sequence: Sequence) -> Rows:
         "! repetition": repetition_warning(num_repeated, num_frames),
     }
     return [(name, text) for name, text in warnings.items() if text]
+
+
+def _exposure_warnings(sequence: Sequence) -> Rows:
+    """Warn of cameras whose exposures differ, by the contrast of the first images."""
+    import numpy as np
+
+    from probevo.tracking.contrast import LEAST_GAIN_IN_STEREO, symmetric_gain
+    from probevo.tracking.left_right import FRAMES_TO_SEE
+    from probevo.tracking.preparation import right_contrast
+
+    config = RunConfig().tracking
+    ratios = [
+        right_contrast(frame.left, frame.right, config)
+        for frame in islice(sequence, FRAMES_TO_SEE + 1)
+        if frame.left is not None and frame.right is not None
+    ]
+    ratio = float(np.median(ratios)) if ratios else np.nan
+    if not symmetric_gain(ratio) > LEAST_GAIN_IN_STEREO:
+        return []
+    text = (
+        f"right images have {ratio:.2g} times the contrast of left ones. It is adapted, but what is"
+        " lost in noise or in white stays lost. Give both cameras the same exposure."
+    )
+    return [("! exposure", text)]
 
 
 def examine(sequence: Sequence) -> Rows:

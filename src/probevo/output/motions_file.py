@@ -18,6 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.focal_length import FocalLengthError
+from probevo.camera.rig_calibration import RowErrors
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -27,6 +28,7 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.files import write_atomically
 from probevo.storage.npz import NO_NPZ, read_npz
+from probevo.tracking.fixed_features import FixedFeatures
 
 ABOUT = (
     "T_curr_prev [N-1, 4, 4]: points of the previous left camera to the current one, m."
@@ -77,6 +79,17 @@ def _scale(array: AnyArray) -> AccelerometerScale:
     return AccelerometerScale(ratio, sigma, int(count))
 
 
+def _fixed(array: AnyArray) -> FixedFeatures:
+    """Return features that did not move, from their two numbers, center and spread, [6]."""
+    num_moving, num_fixed, u, v, spread_u, spread_v = array.tolist()
+    return FixedFeatures(int(num_moving), int(num_fixed), (u, v), (spread_u, spread_v))
+
+
+def _fixed_as_array(fixed: FixedFeatures) -> ArrayLike:
+    """Return the inverse of ``_fixed``, [6]."""
+    return [fixed.num_moving, fixed.num_fixed, *fixed.center_px, *fixed.spread_px]
+
+
 def _fault(text: AnyArray) -> ImuFault:
     """Return what is wrong with an IMU; a ValueError if it is nothing that is known."""
     try:
@@ -99,6 +112,8 @@ _OPTIONAL = {
     "pose_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
+    "row_errors": _Optional((2,), lambda array: RowErrors(*array.tolist())),
+    "fixed_features": _Optional((6,), _fixed, _fixed_as_array),
     "right_delay_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),

@@ -12,6 +12,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
+from probevo.camera.rig_calibration import RowErrors
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import (
     COMMON_MODE_COLUMNS,
@@ -27,6 +28,7 @@ from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
+from probevo.tracking.fixed_features import FixedFeatures
 
 _COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
 """Where the common-mode part lies in what a recorder keeps of a step."""
@@ -135,6 +137,12 @@ class RunResult:
     jitter_sigma_rad: FloatArray | None = None
     """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
     off in each frame, as estimated at the end, [3]; None without self-calibration."""
+    row_errors: RowErrors | None = None
+    """How far the rows of the right images are off, as estimated at the end; None without
+    self-calibration, and in files of versions that did not store it."""
+    fixed_features: FixedFeatures | None = None
+    """Features that stayed where they are although the motion should have moved them; None without
+    any, and in files of versions that did not store it."""
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""

@@ -15,6 +15,9 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
+from probevo.tracking.fixed_features import LEAST_SHIFT_PX, STILL_PX, FixedFeatures
+from probevo.tracking.left_right import FEWEST_MATCHES
+from probevo.tracking.tracks import OTHER_ROW
 
 MOST_REPEATED = 0.1
 """Share of them from which on it is said."""
@@ -36,11 +39,18 @@ FEWEST_FOR_SCALE = 5
 """Least number of steps for the scale."""
 SCALE_SIGMAS = 3.0
 """Standard errors of the scale beyond which it is not the noise of the steps or of the truth."""
+ROW_SIGMAS = 3.0
+"""Standard deviations of their prior beyond which errors of the rows are none that a rectification
+leaves: of KITTI, whose are the largest of the recordings here, they are 2.0 to 2.3."""
+MOST_FIXED = 0.01
+"""Share of the features that should have moved from which on those that have not are no chance.
+Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
-        "dark, blurred, featureless or repeated images, a pair that is not rectified or not"
-        " simultaneous, or images of more than two megapixels (scale these down: --resized)"
+        "dark, blurred, featureless or repeated images, a pair that is not rectified, not"
+        " simultaneous or not exposed alike, or images of more than two megapixels (scale these"
+        " down: --resized)"
     ),
     Status.NOT_CONVERGED: (
         "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
@@ -62,6 +72,8 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Some steps are not solved": unsolved_warning(result.status),
         "Images repeat": repetition_warning(num_repeated, len(result)),
         "Left and right images of different frames": timing_warning(result.right_late_frames),
+        "Rows of left and right images differ": rows_warning(result),
+        "A part of the vehicle in view": fixed_warning(result.fixed_features),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
         "IMU": imu_warning(result.imu_left_out, result.imu_fault, result.imu_unused_from),
@@ -135,6 +147,55 @@ def timing_warning(right_late_frames: int) -> str | None:
         f"The {late} images are {frames} late: the rows of a left image agree best with those of"
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
         f" their stamps, or leave out {first}."
+    )
+
+
+def rows_warning(result: RunResult) -> str | None:
+    """Warn of a pair that is not rectified; None if it is, or if its images are of other frames.
+
+    A large error shows in the coefficients of the rows, which the prior bounds for any rectified
+    pair; a larger one than matches are looked for shows in those that look alike elsewhere.
+    """
+    if result.right_late_frames:
+        return None
+    found = []
+    errors = result.row_errors
+    if errors is not None and errors.sigmas > ROW_SIGMAS:
+        found.append(
+            f"Rows of right images are off by up to {errors.largest_px:.1f} px;"
+            f" {errors.sigmas:.1f} standard deviations of what a rectification leaves."
+        )
+    num_elsewhere = result.rejected.get(OTHER_ROW, 0)
+    num_tracks = int(result.num_tracks.sum())
+    if num_elsewhere > max(num_tracks, FEWEST_MATCHES):
+        found.append(
+            f"{num_elsewhere:,} stereo matches look alike in other rows; {num_tracks:,} were"
+            " tracked in the same one."
+        )
+    if not found:
+        return None
+    return (
+        f"{' '.join(found)} Features are lost, and the path may be off by more than its covariance"
+        " says. Are the images rectified, with the calibration of these lenses and mounts,"
+        " simultaneous, and exposed alike? `probevo calibrate-check SEQUENCE` shows the rows;"
+        " calibrate and rectify anew."
+    )
+
+
+def fixed_warning(fixed: FixedFeatures | None) -> str | None:
+    """Warn of features that stay where they are in both images while the camera moves; None if they
+    are few."""
+    if fixed is None or fixed.num_fixed < FEWEST_MATCHES or fixed.share < MOST_FIXED:
+        return None
+    u, v = fixed.center_px
+    spread_u, spread_v = fixed.spread_px
+    return (
+        f"{fixed.num_fixed:,} of {fixed.num_moving:,} features that the motion should have moved by"
+        f" {LEAST_SHIFT_PX:g} px or more stayed within {STILL_PX:g} px in both images, around"
+        f" (u, v) = ({u:.0f} ± {spread_u:.0f}, {v:.0f} ± {spread_v:.0f}) px of left images. A part"
+        " of the vehicle seems to be in view, or something that moves along with it. Where it holds"
+        " most features, the path stands still with it, and the covariance does not know. Mask it:"
+        " --mask-left."
     )
 
 

@@ -52,6 +52,7 @@ from probevo.sequences.base import first_frames
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
+from probevo.tracking.fixed_features import FixedFeatureCount
 from probevo.tracking.left_right import IdenticalImagesError, LeftRightCheck, SwappedImagesError
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
@@ -218,6 +219,8 @@ class _Records:
     """Whether left and right images belong to the same frames."""
     of_images: Rows
     """Motions of the two-frame solves, [N, 16], to compare with the accelerometer."""
+    fixed: FixedFeatureCount
+    """Features that do not move with the scene."""
     heights: GroundHeights
     """Heights above the ground, to compare with the known one."""
 
@@ -230,6 +233,7 @@ class _Records:
             smoothed=SmoothedPath(),
             timing=PairTiming(config.tracking),
             of_images=Rows(np.float64, 16),
+            fixed=FixedFeatureCount(sequence.camera),
             heights=GroundHeights(sequence.camera, config.camera_height_m),
         )
 
@@ -241,6 +245,8 @@ class _Records:
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
         self.of_images.add(odometry.T_of_images.ravel())
+        if motion.status is Status.OK:
+            self.fixed.add(odometry.tracks, motion.T_curr_prev)
         seen = odometry.tracks.subset(odometry.used)
         self.heights.add(
             frame.stamp_ns,
@@ -272,6 +278,8 @@ class _Records:
             accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
             ground_height=self.heights.height(),
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
+            row_errors=None if rig is None else rig.row_errors(sequence.camera),
+            fixed_features=self.fixed.total(),
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
             focal_length=None if rig is None else rig.focal.error(),
             smoothed=None if smoothed is None else smoothed.T_world_cam,

@@ -21,7 +21,7 @@ from probevo.tracking.lucas_kanade import TrackedPoints, track_points
 from probevo.tracking.preparation import prepare_images
 from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
-from probevo.tracking.tracks import Tracks
+from probevo.tracking.tracks import OTHER_ROW, Tracks
 from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
 BORDER_PX = 5.0
@@ -30,8 +30,9 @@ LARGEST_DISPARITY = 0.25
 """Largest disparity at which a new corner is searched, in widths of the image.
 
 With ordinary lenses, it is that of a depth of two to three baselines."""
-ALIKE_BEHIND = 6.0
-"""Difference up to which a match with negative disparity counts as one, in grey levels.
+ALIKE_ELSEWHERE = 6.0
+"""Difference up to which a match with negative disparity, or in another row, counts as one, in grey
+levels.
 
 The gate of the tracks may be wider, since their history tells the wrong ones. Of swapped images, a
 third to two thirds of these matches differ by less; of right ones, hardly any."""
@@ -295,15 +296,13 @@ class ImageTracker:
             tracked = self._with_row_search(images, left_px, tracked)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
-        is_lost = ~np.isfinite(tracked.difference)
         is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
         # Where the true place is out of reach, Lucas–Kanade ends anywhere. Only a window that looks
-        # alike there says that the point is seen farther to the right.
-        is_match_behind = is_negative & (tracked.difference <= ALIKE_BEHIND)
-        rejected["rows differ"] += int((~same_row & ~is_lost).sum())
-        rejected["negative disparity"] += int(is_match_behind.sum())
-        rejected["no stereo match"] += int((~same_row & is_lost).sum())
-        rejected["no stereo match"] += int((is_negative & ~is_match_behind).sum())
+        # alike there says that the point is seen in another row, or farther to the right.
+        is_alike = tracked.difference <= ALIKE_ELSEWHERE
+        rejected[OTHER_ROW] += int((~same_row & is_alike).sum())
+        rejected["negative disparity"] += int((is_negative & is_alike).sum())
+        rejected["no stereo match"] += int(((~same_row | is_negative) & ~is_alike).sum())
         rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
         consistent = same_row & has_disparity
         if images.right_usable is not None:

@@ -15,6 +15,8 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 
+OTHER_ROW = "rows differ"
+"""Why a match is rejected whose window looks alike, but lies in another row of the right image."""
 NEW_ERROR_PX = 1.0
 """Shift over the image from which on the error of a point is another one."""
 

@@ -1,0 +1,109 @@
+"""Features that stay where they are in both images while the camera moves: those of the rig.
+
+A hood, a bumper, an arm, or a logo in the images looks like a scene at rest. Where it holds most of
+the features, so does the path, with a claim of millimetres. Where it does not, the motion that the
+others agree on tells which features do not belong to the scene.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.geometry import se3
+from probevo.tracking.tracks import Tracks
+
+STILL_PX = 0.5
+"""A feature stays where it is if none of its four coordinates moves farther than this: two to three
+standard deviations of a tracked place."""
+LEAST_SHIFT_PX = 3.0
+"""A feature should have moved if the motion shifts it by this at least in the left image: six times
+as far as it may, so that no error of a motion that is about right makes a feature fixed."""
+
+LEAST_DISPARITY_PX = 1e-3
+"""Disparity of a point that is as good as at infinity."""
+
+
+class FixedFeatures(NamedTuple):
+    """Features of a run that stayed where they are although the motion should have moved them,
+    summed over its steps."""
+
+    num_moving: int
+    """Number of features that the motion should have moved, these included."""
+    num_fixed: int
+    center_px: tuple[float, float]
+    """Mean of their places (u, v) in the left image, px."""
+    spread_px: tuple[float, float]
+    """Standard deviation of these, px."""
+
+    @property
+    def share(self) -> float:
+        """Their share of the features that should have moved; 0 without any."""
+        return self.num_fixed / max(self.num_moving, 1)
+
+
+class FixedFeatureCount:
+    """Counts them step by step.
+
+    Args:
+        camera: the rectified camera.
+    """
+
+    def __init__(self, camera: StereoCamera) -> None:
+        self._camera = camera
+        self._num_moving = 0
+        self._num_fixed = 0
+        self._sum_px = np.zeros(2)
+        self._sum_px2 = np.zeros(2)
+
+    def add(self, tracks: Tracks, T_curr_prev: FloatArray) -> None:
+        """Take the N tracks of a step and its motion, [4, 4], m."""
+        should_move = shifts_px(tracks, T_curr_prev, self._camera) >= LEAST_SHIFT_PX
+        places_px = tracks.curr_px[should_move & are_still(tracks), :2]
+        self._num_moving += int(should_move.sum())
+        self._num_fixed += len(places_px)
+        self._sum_px += places_px.sum(axis=0)
+        self._sum_px2 += (places_px**2).sum(axis=0)
+
+    def total(self) -> FixedFeatures | None:
+        """Return the sum over all steps; None if no feature was fixed."""
+        if self._num_fixed == 0:
+            return None
+        mean_px = self._sum_px / self._num_fixed
+        spread_px = np.sqrt(np.maximum(self._sum_px2 / self._num_fixed - mean_px**2, 0.0))
+        return FixedFeatures(
+            num_moving=self._num_moving,
+            num_fixed=self._num_fixed,
+            center_px=(float(mean_px[0]), float(mean_px[1])),
+            spread_px=(float(spread_px[0]), float(spread_px[1])),
+        )
+
+
+def are_still(tracks: Tracks) -> BoolArray:
+    """Return which of N tracks stay where they are in both images, [N]."""
+    moved_px = np.abs(tracks.curr_px - tracks.prev_px)
+    still: BoolArray = np.all(moved_px <= STILL_PX, axis=1)
+    return still
+
+
+def shifts_px(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return how far a motion shifts each of N tracks in the left image, [N], px; 0 where it takes
+    them behind the camera.
+
+    Args:
+        tracks: their previous observations count.
+        T_curr_prev: the motion, [4, 4], m.
+        camera: the rectified camera.
+    """
+    # What has no disparity, as an overlay in both images, is shifted like a point at infinity.
+    before_px = tracks.prev_px.copy()
+    before_px[:, 2] = np.minimum(before_px[:, 2], before_px[:, 0] - LEAST_DISPARITY_PX)
+    points = se3.transform(T_curr_prev, camera.triangulate(before_px))
+    is_ahead = points[:, 2] > 0.0
+    after_px = camera.project(points[is_ahead])
+    shift_px = np.zeros(len(tracks))
+    shift_px[is_ahead] = np.linalg.norm(after_px[:, :2] - before_px[is_ahead, :2], axis=1)
+    return shift_px
