@@ -68,11 +68,11 @@ def _burg(values: FloatArray, highest: int) -> list[tuple[FloatArray, float]]:
     for _ in range(highest):
         forward = forward[1:]
         backward = backward[:-1]
-        power = forward @ forward + backward @ backward
+        power = float(forward @ forward + backward @ backward)
         if power == 0.0:
             break  # the past predicts all of it
         # The reflection coefficient with the least power of both errors, and Levinson's recursion.
-        reflection = -2.0 * (forward @ backward) / power
+        reflection = -2.0 * float(forward @ backward) / power
         forward, backward = (
             forward + reflection * backward,
             backward + reflection * forward,

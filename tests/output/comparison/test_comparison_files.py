@@ -126,6 +126,7 @@ def test_rankings_say_who_is_best_and_by_how_much(make_run: Callable[..., RunRes
     assert drift["best"] == "good"
     assert drift["against"]["bad"]["is_significant"]
     assert abs(drift["against"]["bad"]["reduction_percent"] - 100.0) < 1e-6
-    assert drift["against"]["bad"]["p_value"] == 0.001
+    # Of so few blocks, some exchanges leave all as it is.
+    assert 0.001 <= drift["against"]["bad"]["p_value"] < 0.01
     assert not drift["against"]["same"]["is_significant"]
     assert json.loads(json.dumps(records, allow_nan=False)) == records
