@@ -73,10 +73,9 @@ def _burg(values: FloatArray, highest: int) -> list[tuple[FloatArray, float]]:
             break  # the past predicts all of it
         # The reflection coefficient with the least power of both errors, and Levinson's recursion.
         reflection = -2.0 * float(forward @ backward) / power
-        forward, backward = (
-            forward + reflection * backward,
-            backward + reflection * forward,
-        )
+        past = backward + reflection * forward
+        forward = forward + reflection * backward
+        backward = past
         longer = np.append(coefficients, 0.0)
         coefficients = longer + reflection * longer[::-1]
         variance *= max(1.0 - reflection**2, _ROUNDING**2)
