@@ -15,7 +15,7 @@ from probevo.evaluation.ground_height import GroundHeight
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult, SensorUse
-from probevo.tracking.fixed_features import FixedFeatures
+from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 
 
 @pytest.mark.parametrize("outside", [None, 7])
@@ -28,6 +28,7 @@ def test_a_run_comes_back_as_it_was(
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
         run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
         run = replace(run, fixed_features=FixedFeatures(900, 30, (300.5, 400.0), (50.0, 9.5)))
+        run = replace(run, steps_at_rest=StepsAtRest(29, 20, 900, 90))
         run = replace(run, row_errors=RowErrors(sigmas=11.5, largest_px=12.9))
         run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12, known_m=1.65))
         run = replace(

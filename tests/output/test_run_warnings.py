@@ -23,6 +23,7 @@ from probevo.output.run_warnings import (
     focal_warning,
     imu_warning,
     repetition_warning,
+    rest_warning,
     rows_warning,
     run_warnings,
     scale_warning,
@@ -33,7 +34,7 @@ from probevo.output.run_warnings import (
 )
 from probevo.runs.runner import run_sequence
 from probevo.sequences.missing_data import Defect, MissingData
-from probevo.tracking.fixed_features import FixedFeatures
+from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 from probevo.tracking.tracks import OTHER_ROW
 from sequences.recordings import write_tracks
 from worlds import CAMERA, FORWARD, drive, random_pixels
@@ -328,6 +329,35 @@ def test_a_part_of_the_vehicle_in_view_is_warned_of(
         assert said.endswith("Mask it: --mask-left.")
     assert fixed_warning(FixedFeatures(40_000, 39, (0.0, 0.0), (1.0, 1.0))) is None
     assert fixed_warning(FixedFeatures(100, 29, (0.0, 0.0), (1.0, 1.0))) is None
+
+
+@pytest.mark.parametrize(
+    ("steps", "warned"),
+    [
+        (StepsAtRest(39, 37, 9_000, 2_200), True),
+        (StepsAtRest(39, 37, 9_000, 4), False),  # rest
+        (StepsAtRest(39, 18, 3_000, 1_000), False),  # waiting
+        (StepsAtRest(0, 0, 0, 0), False),
+        (None, False),
+    ],
+)
+def test_a_path_at_rest_in_a_scene_that_moves_is_warned_of(
+    steps: StepsAtRest | None, warned: bool
+) -> None:
+    said = rest_warning(steps)
+    assert (said is not None) == warned
+    if said is not None:
+        assert said.startswith("The path stands still in 37 of 39 steps, in which 24 % of")
+
+
+def test_a_vehicle_that_fills_the_view_is_warned_of(tmp_path: Path) -> None:
+    """It holds the path at rest from the first frame on, so that it is the scene that moves."""
+    rng = np.random.default_rng(6)
+    fixed_px = random_pixels(rng, 300, (2.0, 4.0))
+    path = _write_features(tmp_path, drive(rng, 8, points=60), fixed_px)
+    run = run_sequence(pv.open_sequence(path), {}, tmp_path / "out")
+    assert np.abs(run.result.T_world_cam[-1, :3, 3]).max() < 0.1
+    assert "At rest in a scene that moves" in run_warnings(run.result)
 
 
 def _write_features(folder: Path, frames: list[pv.Frame], fixed_px: FloatArray) -> Path:

@@ -5,7 +5,13 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.tracking.fixed_features import FixedFeatureCount, FixedFeatures, are_still, shifts_px
+from probevo.tracking.fixed_features import (
+    FixedFeatureCount,
+    FixedFeatures,
+    StepsAtRest,
+    are_still,
+    shifts_px,
+)
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, at_infinity, both, random_pixels, seen_twice, tracks_of
 
@@ -51,6 +57,23 @@ def test_a_scene_has_none(seed: int) -> None:
     assert counted(at_infinity(rng, 200, ahead), ahead) is None
     assert counted(on_the_rig(rng, 200), np.eye(4)) is None
     assert counted(Tracks.none(), FORWARD) is None
+
+
+def test_what_passes_while_the_path_stands_still_is_counted() -> None:
+    """Of steps at rest only; none passes before a camera that is."""
+    rng = np.random.default_rng(8)
+    rig = on_the_rig(rng, 60)
+    passing = seen_twice(rng, 40)
+    num_passing = int((shifts_px(passing, FORWARD, CAMERA) >= 3.0).sum())
+    count = FixedFeatureCount(CAMERA)
+    count.add(both(rig, passing), np.eye(4))
+    count.add(rig, np.eye(4))
+    count.add(both(rig, passing), FORWARD)
+    count.add(Tracks.none(), np.eye(4))
+    steps = count.steps_at_rest
+    assert steps == StepsAtRest(3, 2, num_features=160, num_passing=steps.num_passing)
+    assert num_passing > 30
+    assert abs(steps.num_passing - num_passing) <= 2  # on the very threshold, by their rows
 
 
 def test_an_overlay_without_disparity_is_fixed_where_the_camera_turns() -> None:

@@ -28,7 +28,7 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.files import write_atomically
 from probevo.storage.npz import NO_NPZ, read_npz
-from probevo.tracking.fixed_features import FixedFeatures
+from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 
 ABOUT = (
     "T_curr_prev [N-1, 4, 4]: points of the previous left camera to the current one, m."
@@ -114,6 +114,7 @@ _OPTIONAL = {
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "row_errors": _Optional((2,), lambda array: RowErrors(*array.tolist())),
     "fixed_features": _Optional((6,), _fixed, _fixed_as_array),
+    "steps_at_rest": _Optional((4,), lambda array: StepsAtRest(*map(int, array.tolist()))),
     "right_delay_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),

@@ -28,7 +28,7 @@ from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
-from probevo.tracking.fixed_features import FixedFeatures
+from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 
 _COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
 """Where the common-mode part lies in what a recorder keeps of a step."""
@@ -143,6 +143,9 @@ class RunResult:
     fixed_features: FixedFeatures | None = None
     """Features that stayed where they are although the motion should have moved them; None without
     any, and in files of versions that did not store it."""
+    steps_at_rest: StepsAtRest | None = None
+    """Steps whose motion leaves its features where they are, and what moves in them; None in files
+    of versions that did not store it."""
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""

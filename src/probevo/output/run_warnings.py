@@ -15,7 +15,7 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
-from probevo.tracking.fixed_features import LEAST_SHIFT_PX, STILL_PX, FixedFeatures
+from probevo.tracking.fixed_features import LEAST_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
 from probevo.tracking.left_right import FEWEST_MATCHES
 from probevo.tracking.tracks import OTHER_ROW
 
@@ -35,6 +35,9 @@ MAX_STEP_ERROR = 0.25
 """Error of the steps, as a share of their length, from which on the truth may be another one's."""
 LEAST_STEP_ERROR_M = 0.05
 """Error that a coarse truth may have in a step, m."""
+MOST_AT_REST = 0.5
+"""Share of steps at rest from which on it is said what moves meanwhile; a vehicle that waits for
+crossing traffic moves most of the time."""
 FEWEST_FOR_SCALE = 5
 """Least number of steps for the scale."""
 SCALE_SIGMAS = 3.0
@@ -44,7 +47,8 @@ ROW_SIGMAS = 3.0
 leaves: of KITTI, whose are the largest of the recordings here, they are 2.0 to 2.3."""
 MOST_FIXED = 0.01
 """Share of the features that should have moved from which on those that have not are no chance.
-Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC."""
+Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; and
+0.0004 of the features move before a camera at rest."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -74,6 +78,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Rows of left and right images differ": rows_warning(result),
         "A part of the vehicle in view": fixed_warning(result.fixed_features),
+        "At rest in a scene that moves": rest_warning(result.steps_at_rest),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
         "IMU": imu_warning(result.imu_left_out, result.imu_fault, result.imu_unused_from),
@@ -196,6 +201,21 @@ def fixed_warning(fixed: FixedFeatures | None) -> str | None:
         " of the vehicle seems to be in view, or something that moves along with it. Where it holds"
         " most features, the path stands still with it, and the covariance does not know. Mask it:"
         " --mask-left."
+    )
+
+
+def rest_warning(steps: StepsAtRest | None) -> str | None:
+    """Warn of a path that stands still for most of the run while features pass; else None."""
+    if steps is None or steps.num_at_rest < MOST_AT_REST * max(steps.num_steps, 1):
+        return None
+    share = steps.num_passing / max(steps.num_features, 1)
+    if steps.num_passing < FEWEST_MATCHES or share < MOST_FIXED:
+        return None
+    return (
+        f"The path stands still in {steps.num_at_rest:,} of {steps.num_steps:,} steps, in which"
+        f" {100.0 * share:.0f} % of the features move by {LEAST_SHIFT_PX:g} px or more. If the"
+        " camera moves, a part of the vehicle is in view and holds most features: mask it"
+        " (--mask-left). If it rests, traffic passes, and the path is right."
     )
 
 

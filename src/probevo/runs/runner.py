@@ -280,6 +280,7 @@ class _Records:
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
             row_errors=None if rig is None else rig.row_errors(sequence.camera),
             fixed_features=self.fixed.total(),
+            steps_at_rest=self.fixed.steps_at_rest,
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
             focal_length=None if rig is None else rig.focal.error(),
             smoothed=None if smoothed is None else smoothed.T_world_cam,

@@ -45,8 +45,22 @@ class FixedFeatures(NamedTuple):
         return self.num_fixed / max(self.num_moving, 1)
 
 
+class StepsAtRest(NamedTuple):
+    """Steps of a run whose motion leaves its features where they are, and what moves in them."""
+
+    num_steps: int
+    """Number of all steps that were solved."""
+    num_at_rest: int
+    """Number of steps that shift half of their features by no more than ``STILL_PX``."""
+    num_features: int
+    """Features of the latter, summed."""
+    num_passing: int
+    """Those of them that moved by ``LEAST_SHIFT_PX`` at least, as the scene does before a part of
+    the vehicle that holds the path at rest, or traffic before a camera at rest."""
+
+
 class FixedFeatureCount:
-    """Counts them step by step.
+    """Counts both step by step.
 
     Args:
         camera: the rectified camera.
@@ -58,15 +72,34 @@ class FixedFeatureCount:
         self._num_fixed = 0
         self._sum_px = np.zeros(2)
         self._sum_px2 = np.zeros(2)
+        self._steps = StepsAtRest(0, 0, 0, 0)
 
     def add(self, tracks: Tracks, T_curr_prev: FloatArray) -> None:
         """Take the N tracks of a step and its motion, [4, 4], m."""
-        should_move = shifts_px(tracks, T_curr_prev, self._camera) >= LEAST_SHIFT_PX
+        if not len(tracks):
+            return
+        shift_px = shifts_px(tracks, T_curr_prev, self._camera)
+        should_move = shift_px >= LEAST_SHIFT_PX
         places_px = tracks.curr_px[should_move & are_still(tracks), :2]
         self._num_moving += int(should_move.sum())
         self._num_fixed += len(places_px)
         self._sum_px += places_px.sum(axis=0)
         self._sum_px2 += (places_px**2).sum(axis=0)
+        is_at_rest = float(np.median(shift_px)) <= STILL_PX
+        moved_px = np.linalg.norm(tracks.curr_px[:, :2] - tracks.prev_px[:, :2], axis=1)
+        num_passing = int((moved_px >= LEAST_SHIFT_PX).sum())
+        before = self._steps
+        self._steps = StepsAtRest(
+            num_steps=before.num_steps + 1,
+            num_at_rest=before.num_at_rest + is_at_rest,
+            num_features=before.num_features + is_at_rest * len(tracks),
+            num_passing=before.num_passing + is_at_rest * num_passing,
+        )
+
+    @property
+    def steps_at_rest(self) -> StepsAtRest:
+        """Return which steps are at rest, and what moves in them."""
+        return self._steps
 
     def total(self) -> FixedFeatures | None:
         """Return the sum over all steps; None if no feature was fixed."""
