@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from other_images import ALL_RECORDINGS
+from other_images import ALL_RECORDINGS, at_hand
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -147,13 +147,7 @@ def main() -> None:
     parser.add_argument("--estimator", choices=["two-frame", "window"], default="window")
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    for recording in given.of:
-        path, _ = ALL_RECORDINGS[recording]
-        if not path.is_dir():
-            print(f"{recording}: not there")
-            continue
-        sequence = pv.open_sequence(path)
-        frames = list(sequence)
+    for recording, sequence, frames in at_hand(given.of):
         as_it_is = found(sequence.camera, frames, given.estimator)
         print(f"\n{recording}, {as_it_is.length_m:.1f} m, {as_it_is.num_refused} steps refused\n")
         print("| | refused | length, % | rotation, ° | place, mm | distance² / 6 |")

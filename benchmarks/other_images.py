@@ -12,8 +12,9 @@ of the noise's variances.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -28,6 +29,7 @@ from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.noise.named import noise_model
 from probevo.sequences.frame import Frame
+from probevo.sequences.recording import StereoRecording
 
 ALL_RECORDINGS = {
     **RECORDINGS,
@@ -38,6 +40,17 @@ ALL_RECORDINGS = {
 
 Camera = tuple[StereoCamera, list[Frame]]
 """A camera, and the frames that it has taken."""
+
+
+def at_hand(names: Iterable[str]) -> Iterator[tuple[str, StereoRecording, list[Frame]]]:
+    """Open those of the recordings that are there: name, recording, and all its frames."""
+    for name in names:
+        path, _ = ALL_RECORDINGS[name]
+        if not path.is_dir():
+            print(f"{name}: not there")
+            continue
+        sequence = cast("StereoRecording", pv.open_sequence(path))
+        yield name, sequence, list(sequence)
 
 
 def of_tone(change: Callable[[Image], Image]) -> Callable[[StereoCamera, list[Frame]], Camera]:
@@ -177,13 +190,8 @@ def main() -> None:
     except InputError as error:
         parser.error(str(error))
     cv2.setNumThreads(1)
-    for recording in given.of:
-        path, first = ALL_RECORDINGS[recording]
-        if not path.is_dir():
-            print(f"{recording}: not there")
-            continue
-        sequence = pv.open_sequence(path)
-        frames = list(sequence)
+    for recording, sequence, frames in at_hand(given.of):
+        _, first = ALL_RECORDINGS[recording]
         print(f"\n{recording}\n\n| | OK | inliers | drift, %, / °/m, or end | noise |")
         print("|---|---|---|---|---|")
         for name, change in VARIATIONS.items():

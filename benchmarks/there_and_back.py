@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from other_images import ALL_RECORDINGS
+from other_images import ALL_RECORDINGS, at_hand
 
 import probevo as pv
 from probevo.camera.stereo import StereoCamera
@@ -74,13 +74,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     print("| recording | frames | without solve | error, mm (σ) | rotation, ° (σ) | squared / 6 |")
     print("|---|---|---|---|---|---|")
-    for recording in given.of:
-        path, _ = ALL_RECORDINGS[recording]
-        if not path.is_dir():
-            print(f"{recording}: not there")
-            continue
-        sequence = pv.open_sequence(path)
-        frames = list(sequence)
+    for recording, sequence, frames in at_hand(given.of):
         half = len(frames) // 2
         parts = {"all": frames, "first half": frames[:half], "second half": frames[half:]}
         for part, chosen in parts.items():
