@@ -14,7 +14,6 @@ from collections.abc import Sequence as Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -36,9 +35,9 @@ from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
-from probevo.storage.files import check_folder, remove_stale, write_atomically
+from probevo.storage.files import check_folder, remove_stale
 from probevo.storage.lock import locked
-from probevo.storage.npz import NO_NPZ, read_npz
+from probevo.storage.npz import NO_NPZ, read_npz, write_npz
 
 OnProgress = Callable[[int, int], None]
 """Takes the number of frames that are done, all epochs counted, and their total."""
@@ -333,9 +332,7 @@ def write_samples(path: Path, samples: Any) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    content = BytesIO()
-    np.savez(content, **vars(samples))
-    write_atomically(path, content.getvalue())
+    write_npz(path, vars(samples))
 
 
 def read_samples(path: Path, samples: type[Samples]) -> Samples | None:

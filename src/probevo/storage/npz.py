@@ -1,18 +1,20 @@
-"""Reading of ``.npz`` archives that may be damaged, or claim more than they hold."""
+"""``.npz`` archives: written whole, and read although they may be damaged, or claim more than they
+hold."""
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.lib import format as npy
 
 from probevo.arrays import AnyArray
-from probevo.storage.files import NO_ARCHIVE, check_regular
+from probevo.storage.files import NO_ARCHIVE, check_regular, write_atomically
 
 LARGEST_FILE_BYTES = 100_000_000_000
 LARGEST_ARRAY_BYTES = 1 << 31
@@ -25,6 +27,19 @@ ZIP64 = 0xFFFF
 """Number that stands for a larger one, which is elsewhere."""
 NO_NPZ = (*NO_ARCHIVE, RuntimeError)
 """The exceptions of ``read_npz``; a RuntimeError is an encrypted member, or nested too deeply."""
+
+
+def write_npz(path: Path, arrays: Mapping[str, AnyArray], *, is_compressed: bool = False) -> None:
+    """Write arrays by their names, completely or not at all; the same arrays give the same bytes.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    save = np.savez_compressed if is_compressed else np.savez
+    # allow_pickle is not passed: NumPy 2.0 would store it as an array.
+    save(buffer, **arrays)  # type: ignore[arg-type]
+    write_atomically(path, buffer.getvalue())
 
 
 def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyArray]:
