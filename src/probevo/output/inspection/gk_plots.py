@@ -24,6 +24,7 @@ from probevo.output.inspection.gk_data import (
 from probevo.output.inspection.plots import (
     MOST_PAIRED,
     NARROW_IN,
+    axis_label,
     draw_column,
     two_histograms,
     window_of,
@@ -198,8 +199,8 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
         if frame is not None:
             points = np.clip(frame.phi[:, [view.used[i].index, view.used[j].index]], *window.T)
             axes.plot(*points.T, "o", mfc="none", mec=ORANGE, ms=3.5, mew=0.8, rasterized=True)
-        axes.set_xlabel(_label(view, i))
-        axes.set_ylabel(_label(view, j))
+        axes.set_xlabel(axis_label(view.used[i].name, view.units))
+        axes.set_ylabel(axis_label(view.used[j].name, view.units))
         axes.grid(visible=False)
         bar = figure.colorbar(drawn, ax=axes, aspect=30, pad=0.02, label="σ, px")
         bar.outline.set_visible(False)
@@ -207,11 +208,6 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
         bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
         figures.append(figure)
     return figures
-
-
-def _label(view: CentersView, k: int) -> str:
-    name = view.used[k].name
-    return f"{name}, {view.units[name]}" if view.units.get(name) else name
 
 
 def histogram_figure(training: FloatArray, frame: FloatArray, label: str, prior: float) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,12 @@ def window_of(values: FloatArray) -> tuple[float, float]:
     low, high = np.quantile(known, _SHOWN).tolist() if len(known) else (0.0, 0.0)
     least = 1e-6 + 1e-3 * abs(low)
     return (low, high) if high - low > least else (low - least, high + least)
+
+
+def axis_label(name: str, units: Mapping[str, str]) -> str:
+    """Return the name of a column with its unit, if it has one that is known."""
+    unit = units.get(name)
+    return f"{name}, {unit}" if unit else name
 
 
 def two_histograms(
