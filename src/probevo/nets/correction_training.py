@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, concatenated
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -37,9 +37,8 @@ from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
-    kept_text,
+    sensor_errors,
     trunk_features,
-    which_are_used,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -122,9 +121,9 @@ def _train(
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
     # The last recordings are left out.
     settings = run.settings
-    learned = EstimatedSteps.joined(steps[: run.split])
+    learned = concatenated(steps[: run.split])
     left_out = steps[run.split :]
-    joined = EstimatedSteps.joined(left_out)
+    joined = concatenated(left_out)
     if len(learned) < LEAST_STEPS:
         what = f"{len(learned)} steps to learn from are too few."
         raise InputError("SEQUENCE", what, f"Give at least {LEAST_STEPS}.")
@@ -222,18 +221,13 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     network = CorrectionNetwork.load(path)
     config = OdometryConfig.model_validate(network.facts["odometry"])
     steps = read_steps(sequence, len(sequence), config=config)
-    claimed = errors_of(network, steps)
     inputs = inputs_of(steps.fields, steps.motions, steps.covariances)
-    widening = network.estimate(inputs).widening
-    is_used = which_are_used(widening, sequence.path)
-    num_lengths = 0 if network.space.axes == ROTATION_AXES else 3
-    return SensorErrors(
-        claimed.errors[is_used],
-        claimed.covariances[is_used],
-        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
-        num_silent=int(np.sum(~is_used)),
-        num_lengths=num_lengths,
-        kept=kept_text(network.facts),
+    return sensor_errors(
+        errors_of(network, steps),
+        network.estimate(inputs).widening,
+        network.facts,
+        path=sequence.path,
+        num_lengths=0 if network.space.axes == ROTATION_AXES else 3,
     )
 
 

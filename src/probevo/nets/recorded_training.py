@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import abc
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -193,7 +193,7 @@ class Task(Generic[Samples]):
 
 def train_task(
     task: Task[Samples],
-    recordings: Collection[Sequence],
+    recordings: abc.Sequence[Sequence],
     settings: NetworkSettings,
     *,
     out: Path,
@@ -275,7 +275,7 @@ def _origin(sequence: Sequence) -> str:
 
 def _read_all(
     task: Task[Samples],
-    recordings: Collection[Sequence],
+    recordings: abc.Sequence[Sequence],
     counts: list[int],
     run: TrainingRun,
 ) -> list[Samples]:
@@ -296,7 +296,7 @@ def _read_all(
 
 
 def _check_samples(
-    samples: list[Any], recordings: Collection[Sequence], counts: list[int], *, split: int
+    samples: list[Any], recordings: abc.Sequence[Sequence], counts: list[int], *, split: int
 ) -> None:
     """Refuse recordings whose truth is known too seldom to learn from them, or to calibrate.
 
@@ -352,7 +352,7 @@ def _show_nothing(done: int, total: int) -> None:
     """Show no progress."""
 
 
-def _check(recordings: Collection[Sequence], settings: NetworkSettings) -> None:
+def _check(recordings: abc.Sequence[Sequence], settings: NetworkSettings) -> None:
     """Refuse recordings that are named twice, or too few.
 
     Raises:

@@ -7,7 +7,6 @@ y z, in the world of its true poses, which is the first camera. Rendered scenes 
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -48,14 +47,6 @@ class SunViews:
     def __len__(self) -> int:
         """Return N."""
         return len(self.fields)
-
-    @staticmethod
-    def joined(parts: Collection[SunViews]) -> SunViews:
-        """Return the images of several recordings, one after the other."""
-        return SunViews(
-            np.concatenate([part.fields for part in parts]),
-            np.concatenate([part.directions for part in parts]),
-        )
 
 
 def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
