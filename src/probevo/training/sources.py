@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import abc
 from collections.abc import Mapping
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,7 @@ def opened(recording: Recording) -> Sequence:
 
 
 def checked_sources(
-    recordings: Collection[Recording], settings: TrainSettings, space: PredictionSpace
+    recordings: abc.Sequence[Recording], settings: TrainSettings, space: PredictionSpace
 ) -> list[Source]:
     """Check the recordings, so that what is wrong shows before the long work.
 
@@ -145,7 +145,7 @@ def calibration(sequence: Sequence) -> list[Any]:
 
 
 def known_predictors(
-    settings: TrainSettings, recordings: Collection[Recording]
+    settings: TrainSettings, recordings: abc.Sequence[Recording]
 ) -> tuple[Predictor, ...]:
     """Return the predictors that the settings name, or else the defaults of the kind of model.
 
