@@ -25,7 +25,7 @@ from probevo.measurements.direction import tangent_axes
 from probevo.measurements.sensor import read_sensor
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo_paper.sun_config import SunConfig
-from probevo_sim.sun_sensor import LEAST_SIGMA_RAD, Fault, SunSensor
+from probevo_sim.sun_sensor import MIN_SIGMA_RAD, Fault, SunSensor
 
 CAMERA = StereoCamera.centered(400.0, 0.5, (640, 480))
 DEPTHS_M = (4.0, 20.0)
@@ -298,7 +298,7 @@ def _row_with(
         paths.append(fused_path(drive, sensor))
     bounds = None
     if fault is None:
-        claimed_rad = max(sigma_rad, LEAST_SIGMA_RAD)
+        claimed_rad = max(sigma_rad, MIN_SIGMA_RAD)
         bounds = [attitude_bound(drive, claimed_rad, every) for drive in drives]
     name = f"σ {sigma_deg:g}°, every {every}"
     if fault is not None:

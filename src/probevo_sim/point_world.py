@@ -27,7 +27,8 @@ from probevo_sim.noise_laws import NoiseLaw
 from probevo_sim.point_config import PointConfig
 
 MAX_SIGHTINGS = 30_000_000
-"""Most frames times landmarks: about an eighth of them are seen, which takes 1.5 GB at the peak."""
+"""Largest product of frames and landmarks: about an eighth of them are seen, which takes 1.5 GB at
+the peak."""
 
 
 @dataclass(frozen=True)

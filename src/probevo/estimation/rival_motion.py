@@ -23,8 +23,8 @@ from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.tracking.tracks import Tracks
 
-FEWEST_UNPREDICTED = 2
-"""Least number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
+MIN_UNPREDICTED = 2
+"""Minimum number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
 agree by chance."""
 CONFIDENCE = 0.9999
 """Confidence of RANSAC, by which it takes twice as many samples as usual: less than half of the

@@ -44,9 +44,9 @@ from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 
-LEAST_STEPS = NUM_REGRESSORS + 1
+MIN_STEPS = NUM_REGRESSORS + 1
 """Steps to learn from, at least: the weights of the regression along one axis."""
-LEAST_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
+MIN_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
 """Standard deviations, m and rad, below which what remains of the training data is rounding."""
 
 
@@ -124,9 +124,9 @@ def _train(
     learned = concatenated(steps[: run.split])
     left_out = steps[run.split :]
     joined = concatenated(left_out)
-    if len(learned) < LEAST_STEPS:
+    if len(learned) < MIN_STEPS:
         what = f"{len(learned)} steps to learn from are too few."
-        raise InputError("SEQUENCE", what, f"Give at least {LEAST_STEPS}.")
+        raise InputError("SEQUENCE", what, f"Give at least {MIN_STEPS}.")
     axes = ROTATION_AXES if settings.rotation_only else ALL_AXES
     inputs = inputs_of(learned.fields, learned.motions, learned.covariances)
     inputs_left_out = inputs_of(joined.fields, joined.motions, joined.covariances)
@@ -139,7 +139,7 @@ def _train(
     in_si = linear_fit(inputs, standard, wanted)
     # What the regression leaves, [N, d], m and rad
     remaining = wanted - linear_estimates(inputs, standard, in_si)
-    least = np.diag(LEAST_SIGMA[list(axes)] ** 2)
+    least = np.diag(MIN_SIGMA[list(axes)] ** 2)
     root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)
     space = CorrectionTargets(tuple(map(tuple, root.tolist())), axes)
     to_units = np.linalg.inv(root)

@@ -15,7 +15,7 @@ TERMS = 24
 """Terms of each series. Up to an angle of 2π, the first omitted term is below 1e-17."""
 SMALL_SQ = 1e-8
 """sin²(θ/2) up to which the logarithm is a series; what it omits is below 1e-17."""
-LEAST_LENGTH_SQ = 1e-12
+MIN_LENGTH_SQ = 1e-12
 """Added to a squared length before a vector is divided by it."""
 
 
@@ -41,7 +41,7 @@ def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
 def normalized(vectors: jax.Array) -> jax.Array:
     """Return vectors, [..., 4], divided by their lengths; a vector of zeros stays one."""
     length_sq = jnp.sum(vectors**2, axis=-1, keepdims=True)
-    return vectors * jax.lax.rsqrt(length_sq + LEAST_LENGTH_SQ)
+    return vectors * jax.lax.rsqrt(length_sq + MIN_LENGTH_SQ)
 
 
 def exp(phi: jax.Array) -> jax.Array:

@@ -25,7 +25,7 @@ from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 from probevo.sensor_kinds import SensorErrors
 
-MOST_ESTIMATES = 1000
+MAX_ESTIMATES = 1000
 """Estimates of one input that a file may ask for: networks × passes × heads."""
 
 
@@ -159,9 +159,9 @@ def _check_method(method: Method) -> None:
     """
     for name in ("networks", "passes", "heads"):
         count = getattr(method, name)
-        if type(count) is not int or not 1 <= count <= MOST_ESTIMATES:
+        if type(count) is not int or not 1 <= count <= MAX_ESTIMATES:
             raise ValueError(f"{name} is {count!r}")
-    if method.num_estimates > MOST_ESTIMATES:
+    if method.num_estimates > MAX_ESTIMATES:
         raise ValueError(f"{method.num_estimates} estimates of each input")
     if type(method.dropout) not in (int, float) or not 0.0 <= method.dropout < 1.0:
         raise ValueError(f"dropout is {method.dropout!r}")

@@ -14,11 +14,11 @@ from probevo.storage.files import check_regular
 INT64_LIMIT = 2**63
 IMU_COLUMNS = 6
 """Values of an IMU sample: angular rate and specific force."""
-LARGEST_TEXT_BYTES = 1_000_000_000
+MAX_TEXT_BYTES = 1_000_000_000
 """Ten hours of an IMU at 200 Hz take 0.7 GB."""
 
 
-def read_text(path: Path, cure: str = "", *, most_bytes: int = LARGEST_TEXT_BYTES) -> str:
+def read_text(path: Path, cure: str = "", *, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """Read a UTF-8 text file.
 
     Args:

@@ -16,8 +16,8 @@ from numpy.lib import format as npy
 from probevo.arrays import AnyArray
 from probevo.storage.files import NO_ARCHIVE, check_regular, write_atomically
 
-LARGEST_FILE_BYTES = 100_000_000_000
-LARGEST_ARRAY_BYTES = 1 << 31
+MAX_FILE_BYTES = 100_000_000_000
+MAX_ARRAY_BYTES = 1 << 31
 """67 million observations, those of four hours at 10 Hz and 450 features a frame."""
 END_BYTES = 22
 """Size of the record that ends an archive, without its comment."""
@@ -55,7 +55,7 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyA
         InputError: the file is not a regular one.
         OSError, ValueError and the others of NO_NPZ: it is no archive of plain arrays.
     """
-    check_regular(path, LARGEST_FILE_BYTES)
+    check_regular(path, MAX_FILE_BYTES)
     with zipfile.ZipFile(path) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         _check_directory(path, archive)
@@ -97,7 +97,7 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> AnyArray:
         claimed = math.prod(shape) * dtype.itemsize
         if claimed != member.file_size - stream.tell():
             raise ValueError(f"{member.filename} is not as large as its shape {shape} says")
-        if claimed > LARGEST_ARRAY_BYTES:
+        if claimed > MAX_ARRAY_BYTES:
             raise ValueError(f"{member.filename} has {claimed:,} bytes")
     with archive.open(member) as stream:
         return np.asarray(npy.read_array(stream, allow_pickle=False))

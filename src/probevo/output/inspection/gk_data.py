@@ -27,7 +27,7 @@ SEARCHED = {
     "dof_counts": "counts for ν",
 }
 """Settings that may have been searched for, in that order, and what they are called."""
-MOST_BINS = 16
+MAX_BINS = 16
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def course_along(column: FloatArray, values: FloatArray) -> Course:
     """Follow C values [C] along a column [C], NaN where undefined."""
     # Bins of equally many centers; equal values stay together.
     known = np.isfinite(column)
-    edges = inner_edges(column[known], MOST_BINS)
+    edges = inner_edges(column[known], MAX_BINS)
     bins = np.searchsorted(edges, column[known], side="right")
     share = (0.16, 0.5, 0.84)
     filled = np.unique(bins)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from probevo.arrays import FloatArray
 from probevo.output.inspection.knn_data import ModelView, rank_correlation
 from probevo.output.inspection.plots import (
-    MOST_PAIRED,
+    MAX_PAIRED,
     NARROW_IN,
     axis_label,
     draw_column,
@@ -128,7 +128,7 @@ def pairs_figures(view: ModelView, frame: FrameView | None) -> list[Figure]:
     The frame's features are points.
     """
     figures = []
-    for m, n in combinations(view.order[:MOST_PAIRED], 2):
+    for m, n in combinations(view.order[:MAX_PAIRED], 2):
         figure = Figure(figsize=(NARROW_IN, 2.9))
         axes = figure.add_subplot()
         x = view.points[:, m]

@@ -15,7 +15,7 @@ from probevo.output.svg import GREY, LEGEND_ABOVE, ORANGE, WIDTH_IN
 
 NARROW_IN = 4.0
 """Width of the figure of a single column of φ."""
-MOST_PAIRED = 4
+MAX_PAIRED = 4
 """Columns of which each two are plotted over each other."""
 _BINS = 40
 _SHOWN = (0.005, 0.995)
