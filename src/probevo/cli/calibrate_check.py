@@ -125,7 +125,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
     if sequence.truth is not None:
         known = sequence.truth.T_world_cam[: len(seen.T_world_cam)]
         found = scale_quantity(seen.T_world_cam, known)
-        quantities += [found] if found else []
+        if found is not None:
+            quantities.append(found)
     stream = getattr(sequence, "imu_stream", None)
     if sequence.imu is None or stream is None:
         notes.append("IMU: none whose samples are read at their own rate.")
@@ -144,7 +145,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             T_cam_imu=T_cam_imu,
             bias_sigma_m_s2=sequence.imu.accel_bias_sigma_m_s2,
         )
-        quantities += [gravity] if gravity else []
+        if gravity is not None:
+            quantities.append(gravity)
         scale = accelerometer_scale(
             sequence.stamps_ns[:num_frames],
             seen.T_world_cam,
@@ -152,7 +154,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             stream=stream,
             calibration=sequence.imu,
         )
-        quantities += [accelerometer_scale_quantity(scale)] if scale else []
+        if scale is not None:
+            quantities.append(accelerometer_scale_quantity(scale))
         if not gyro:
             notes.append("IMU: its samples cover too few solved steps.")
         elif any(_is_marked(quantity, len(quantities)) for quantity in gyro[:3]):

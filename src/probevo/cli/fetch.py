@@ -156,5 +156,6 @@ def _summary(result: Result) -> str:
     count = len(result.recordings)
     lines.append(f"{count} recording{'s' * (count != 1)} in {result.folder}")
     lines += [f"    probevo info {path}" for path in result.recordings[:MAX_SHOWN]]
-    lines += ["    …"] if count > MAX_SHOWN else []
+    if count > MAX_SHOWN:
+        lines.append("    …")
     return "\n".join(lines)

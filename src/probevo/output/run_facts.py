@@ -202,16 +202,19 @@ def imu_use_text(
         sequence: the recording.
         config: settings of a run.
         left_out: why the window did not use it in the end; None if it did, or before a run.
-        unused_from: index of the frame from which on it did not; None if it never did.
+        unused_from: index of the first frame after it last did; None if it never did.
     """
     if not config.imu:
         return "left out"
     if sequence.imu is None:
         return "none"
     uses = ["to start the tracking", "for dead reckoning where the camera is blind"]
-    uses += ["to reject features"] if config.gyro.prefilter_deg else []
-    uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
-    uses += ["in the solve"] if config.gyro.prior else []
+    if config.gyro.prefilter_deg:
+        uses.append("to reject features")
+    if config.ransac.rotation_from == "gyro":
+        uses.append("in RANSAC")
+    if config.gyro.prior:
+        uses.append("in the solve")
     gyro = f"gyro {', '.join(uses)}"
     if config.estimator == "window" and config.window.imu == "auto":
         if left_out:

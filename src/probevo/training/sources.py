@@ -140,8 +140,10 @@ def checked_sources(
 
 def calibration(sequence: Sequence) -> list[Any]:
     """Return the calibration of camera and IMU in plain values."""
-    parts = [sequence.camera, *([] if sequence.imu is None else [sequence.imu])]
-    return [np.asarray(value).tolist() for part in parts for value in vars(part).values()]
+    values = [*vars(sequence.camera).values()]
+    if sequence.imu is not None:
+        values += vars(sequence.imu).values()
+    return [np.asarray(value).tolist() for value in values]
 
 
 def known_predictors(

@@ -21,7 +21,7 @@ TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """ROS 1's own list of messages, which rosbags follows, leaves out this one."""
 MAX_STAMP_NS = 2**31 * 10**9
 """Seconds are 32 bits in a header: until 2038."""
-NUM_TYPES = ("float32", "float64")
+FLOAT_TYPES = ("float32", "float64")
 
 
 class BagWriter:
@@ -58,7 +58,7 @@ class BagWriter:
     def write_transforms(
         self, topic: str, stamp_ns: int, transforms: list[Mapping[str, Any]]
     ) -> None:
-        """Add a message of transforms, as of ``transform_fields``, to ``/tf`` or ``/tf_static``.
+        """Add a message of transforms, made by ``transform_fields``, to ``/tf`` or ``/tf_static``.
 
         Raises:
             InputError: the stamp does not fit into a message of ROS.
@@ -102,7 +102,9 @@ class BagWriter:
         if kind == "BASE":
             if given is not None:
                 return given
-            return "" if detail[0] == "string" else (0.0 if detail[0] in NUM_TYPES else 0)
+            if detail[0] == "string":
+                return ""
+            return 0.0 if detail[0] in FLOAT_TYPES else 0
         (element_kind, element), count = detail
         if element_kind.name == "NAME":
             return [self._built(element, each) for each in given or ()]

@@ -184,8 +184,7 @@ def _read_16_bits(path: Path, channels: int) -> AnyArray:
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}.", _CURE) from None
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    found = 0 if image is None else 1 if image.ndim == 2 else image.shape[2]
-    if image is None or image.dtype != np.uint16 or found != channels:
+    if image is None or image.dtype != np.uint16 or np.atleast_3d(image).shape[2] != channels:
         what = f"this is not a PNG of 16 bits with {channels} channels."
         raise InputError(path, what, "Copy the file anew.")
     return np.asarray(image)
