@@ -34,7 +34,8 @@ WITHOUT_OUTLIERS = {
     "self_calibration": False,
     "ransac": {"threshold_px": 50.0},
 }
-"""There are none, and a threshold would cut the tails of the noise."""
+"""Settings of the odometry. There are no outliers, and a threshold would cut the tails of the
+noise."""
 FRAME_NS = 100_000_000
 TURN_RAD = 1.0
 """The heading swings by so much to either side,"""
@@ -100,7 +101,7 @@ def true_path(settings: SunConfig) -> FloatArray:
 def simulated_frames(
     settings: SunConfig, T_world_cam: FloatArray, rng: np.random.Generator
 ) -> Iterator[Frame]:
-    """Yield frames of which each pair sees points of its own, with white noise."""
+    """Yield frames; each two successive ones see points of their own, with white noise."""
     num_points = settings.points
     ids = np.arange(num_points)
     seen_m = np.zeros((0, 3))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9, 0.99)
 """Regions whose coverage is printed."""
 SURE = 3.0
-"""Standard errors from which on a mean differs from 1 by more than chance."""
+"""Standard errors beyond which a mean differs from 1 by more than chance."""
 MAX_MARGIN = 0.5
 """What chance may add to a mean, beyond which one that does not differ from 1 says nothing."""
 LIMITS = (

@@ -123,7 +123,7 @@ def estimate_motion(
 
 def _threshold_px(noise: StereoNoise) -> float:
     """Return the threshold of RANSAC for matches of this noise, at least that of the odometry."""
-    # A residual has the noise of both observations, of which each coordinate has its own.
+    # A residual has the noise of both observations; each coordinate has its own.
     both = 2.0 if noise.refers_to == "observation" else 1.0
     largest_px2 = both * np.diagonal(noise.scale, axis1=1, axis2=2).max(axis=1)
     usual_px = float(np.sqrt(np.median(largest_px2)))
@@ -162,7 +162,7 @@ def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
     """Return the noise of the matches.
 
     Raises:
-        InputError: it is none, or does not fit the matches.
+        InputError: it is no noise, or does not fit the matches.
     """
     if isinstance(noise, StereoNoise):
         if len(noise.dof) != count:

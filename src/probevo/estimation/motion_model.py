@@ -28,7 +28,7 @@ MIN_SIGMA = 1e-5
 would be so small that rounding loses the information of the features."""
 
 UNKNOWN_FROM = 0.5
-"""Standard deviation of the forward speed, over that of its prior at the start, from which on it
+"""Standard deviation of the forward speed, over that of its prior at the start, above which it
 counts as unknown."""
 
 FASTEST_START = 1.5

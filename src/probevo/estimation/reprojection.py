@@ -18,8 +18,8 @@ from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
 
 MIN_MOTION = 100.0
-"""Squared length of a motion, in units of its covariance, from which on it tells of the errors of
-the images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
+"""Squared length of a motion, in units of its covariance, above which it tells of the errors of the
+images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
 that are learned from it for as long as the rig stands."""
 
 

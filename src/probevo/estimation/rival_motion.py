@@ -61,7 +61,7 @@ def outranks(
         best: the other.
         camera: the rectified camera.
         fewest: least number of tracks that agree on the rival and contradict the best motion.
-        against_px: error from which on a track contradicts a motion.
+        against_px: error above which a track contradicts a motion.
     """
     against_best = rival.contradicting(best.T_curr_prev, camera, against_px)
     against_rival = best.contradicting(rival.T_curr_prev, camera, against_px)

@@ -75,7 +75,7 @@ def regress(
         prior_sigma: standard deviations of the Gaussian prior of β around zero, [P]. They keep
             coefficients that nothing constrains finite.
         track: the feature of each row, [N], whose errors may be correlated for as long as it is
-            seen; None if there are none.
+            seen; None without features.
 
     Returns:
         The estimates. What the data do not constrain has the prior's standard deviation.

@@ -54,7 +54,7 @@ def virtual_view(image: Image, camera: StereoCamera) -> Image:
             [0.0, camera.fv_px / FOCAL_PX, camera.cv_px - camera.fv_px * _center()[1] / FOCAL_PX],
         ]
     )
-    # A pixel of the virtual camera is the mean of those it covers, by and large.
+    # A pixel of the virtual camera is roughly the mean of those it covers.
     sigma_px = 0.4 * max(camera.fu_px / FOCAL_PX, 1.0)
     blurred = cv2.GaussianBlur(image, (0, 0), sigma_px)
     view = cv2.warpAffine(

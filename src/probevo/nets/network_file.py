@@ -52,7 +52,7 @@ def read_facts(path: Path) -> dict[str, Any]:
     """Read what a file says of itself.
 
     Raises:
-        InputError: the file cannot be read, is none of networks, or is damaged.
+        InputError: the file cannot be read, is damaged, or holds no networks.
     """
     return _read(path)[0]
 

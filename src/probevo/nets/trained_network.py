@@ -152,7 +152,7 @@ def _count_of_epochs(count: int) -> str:
 
 
 def _check_method(method: Method) -> None:
-    """Refuse numbers that would fill the memory, or are none.
+    """Refuse values that are not numbers, or would fill the memory.
 
     Raises:
         ValueError: says which.

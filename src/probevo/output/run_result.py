@@ -69,7 +69,7 @@ class SensorUse:
     excluded: int = 0
     """Steps after it was found to be faulty, including that one."""
     excluded_at: int | None = None
-    """Index of the frame from which on it is excluded; None if it is not."""
+    """Index of the first frame in which it is excluded; None if it is not."""
     reason: str | None = None
     """Why it is excluded."""
 
@@ -92,7 +92,8 @@ class SensorUse:
     def __str__(self) -> str:
         """Return it in one line."""
         parts = [f"{self.used:,} steps used it"]
-        parts += [f"{self.gated:,} turned it away"] if self.gated else []
+        if self.gated:
+            parts.append(f"{self.gated:,} turned it away")
         parts += [f"{count:,} without: {reason}" for reason, count in self.silent.items()]
         if self.excluded_at is not None:
             parts.append(f"excluded from frame {self.excluded_at} on: {self.reason}")
@@ -180,8 +181,8 @@ class RunResult:
     imu_fault: ImuFault | None = None
     """What kind of reason that is; None also in files of versions that did not store it."""
     imu_unused_from: int | None = None
-    """Index of the frame from which on the window did not use the IMU any more; None if it did at
-    the end, or never."""
+    """Index of the first frame after the window last used the IMU; None if it did at the end, or
+    never."""
     imu_noise_factor: float | None = None
     """By how much the variances of the IMU's samples exceed those of its calibration, as the window
     assumed at the end; None where it uses no IMU."""

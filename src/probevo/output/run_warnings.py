@@ -20,11 +20,11 @@ from probevo.tracking.left_right import MIN_MATCHES
 from probevo.tracking.tracks import OTHER_ROW
 
 MAX_REPEATED = 0.1
-"""Share of them from which on it is said."""
+"""Share of frames with repeated images that brings a warning."""
 MIN_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
 MAX_UNSOLVED = 0.1
-"""Share of steps without a solve from which on it is said."""
+"""Share of steps without a solve that brings a warning."""
 MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
 MAX_ACCELEROMETER_ERROR = 0.03
@@ -32,23 +32,24 @@ MAX_ACCELEROMETER_ERROR = 0.03
 MAX_HEIGHT_ERROR = 0.03
 """Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
 MAX_STEP_ERROR = 0.25
-"""Error of the steps, as a share of their length, from which on the truth may be another one's."""
+"""Error of the steps, as a share of their length, beyond which the truth may be that of another
+recording."""
 MIN_STEP_ERROR_M = 0.05
 """Error that a coarse truth may have in a step, m."""
 MAX_AT_REST = 0.5
-"""Share of steps at rest from which on it is said what moves meanwhile; a vehicle that waits for
+"""Share of steps at rest above which moving features bring a warning; a vehicle that waits for
 crossing traffic moves most of the time."""
 MIN_FOR_SCALE = 5
 """Minimum number of steps for the scale."""
 SCALE_SIGMAS = 3.0
 """Standard errors of the scale beyond which it is not the noise of the steps or of the truth."""
 ROW_SIGMAS = 3.0
-"""Standard deviations of their prior beyond which errors of the rows are none that a rectification
-leaves: of KITTI, whose are the largest of the recordings here, they are 2.0 to 2.3."""
+"""Errors of the rows, in standard deviations of their prior, that no rectification leaves. Those of
+KITTI, the largest of the recordings here, are 2.0 to 2.3."""
 MAX_FIXED = 0.01
-"""Share of the features that should have moved from which on those that have not are no chance.
-Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; and
-0.0004 of the features move before a camera at rest."""
+"""Share of features at rest, among those that should have moved, that is no longer due to chance.
+Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; before a
+camera at rest, 0.0004 of the features move."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -249,7 +250,7 @@ def imu_warning(
     Args:
         reason: why, a phrase that continues "the IMU …".
         fault: what kind of reason it is, if that is known.
-        unused_from: index of the frame from which on it was left out; None if it was never used.
+        unused_from: index of the first frame after it was last used; None if it never was.
     """
     if not reason:
         return None

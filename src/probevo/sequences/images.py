@@ -64,7 +64,7 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(folder, "this image folder is missing.", _TWO_FOLDERS)
-    # Hidden files are none: macOS puts a ._img.png beside each img.png on foreign disks.
+    # Hidden files are no images: macOS puts a ._img.png beside each img.png on foreign disks.
     files = {
         path.name: path
         for path in folder.iterdir()

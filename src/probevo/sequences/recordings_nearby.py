@@ -1,4 +1,4 @@
-"""Recordings in the folders below, and above, one that is none, for the message that refuses it."""
+"""Recordings below and above a folder that is no recording, for the message that refuses it."""
 
 from __future__ import annotations
 

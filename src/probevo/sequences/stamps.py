@@ -185,7 +185,7 @@ def _finite(text: str, where: str) -> Decimal:
     """Parse a finite decimal number.
 
     Raises:
-        InputError: the text is none.
+        InputError: the text is no such number.
     """
     try:
         number = Decimal(text)
@@ -218,7 +218,7 @@ def _datetime_to_ns(text: str, where: str) -> int:
     """Parse a date and time to ns since 1970.
 
     Raises:
-        InputError: the text is none.
+        InputError: the text is no date and time.
     """
     try:
         moment: np.datetime64 = np.datetime64(text, "ns")

@@ -82,7 +82,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
     """Parse a whole number of nanoseconds.
 
     Raises:
-        InputError: the text is none, or the number does not fit in 64 bits.
+        InputError: the text is no whole number, or it does not fit in 64 bits.
     """
     try:
         stamp = int(text)

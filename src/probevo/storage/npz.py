@@ -49,7 +49,7 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyA
 
     Args:
         path: the file.
-        names: arrays to read, those of them that exist; None for all.
+        names: arrays to read, as far as they exist; None for all.
 
     Raises:
         InputError: the file is not a regular one.

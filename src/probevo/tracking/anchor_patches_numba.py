@@ -40,8 +40,8 @@ MAX_STEP_SCALE = 2.0
 lengthened if the image has less contrast than the patch, when successive steps have the same
 direction."""
 MIN_STEP_DETERMINANT = 0.25
-"""Smallest determinant of I + S of one step: so large a change is none to which the patch is
-linear."""
+"""Smallest determinant of I + S of one step: the patch is not linear in a larger
+change."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8

@@ -14,8 +14,8 @@ from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.compiled import compiled
 
 MAX_RATIO = 0.8
-"""Ratio of the differences of the best and the second-best place, from which on a match is
-ambiguous; Lowe's."""
+"""Ratio of the differences of the best and the second-best place above which a match is ambiguous
+(Lowe 2004)."""
 REACH_PX = 32
 """Distance along the row within which there must be no second place: Lucas–Kanade does not reach
 farther."""

@@ -113,7 +113,7 @@ def _as_recordings(recordings: object) -> list[Recording]:
     """Return recordings, some of which may be named by a ``str``.
 
     Raises:
-        InputError: there is none, or it is no collection of recordings.
+        InputError: these are no recordings, or there are none.
     """
     cure = 'Give a list of recordings or of their folders, such as ["drive"].'
     if isinstance(recordings, str | Path) or not isinstance(recordings, Iterable):

@@ -347,7 +347,7 @@ async def _check_scheduler(address: str) -> None:
     after a failure it keeps this process from ending for 20 s.
 
     Raises:
-        ValueError: it is none, or the address is not one.
+        ValueError: it is no scheduler, or the address is invalid.
         OSError: nobody answers; TimeoutError if not within CONNECT_S.
         Exception: what Dask raises at the answer of another service.
     """

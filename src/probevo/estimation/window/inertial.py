@@ -153,7 +153,7 @@ class Inertial:
 
     @property
     def first_covered(self) -> int:
-        """Place of the first frame from which on its samples cover all intervals, 0 … K − 1."""
+        """Place of the first frame after which samples cover all intervals, 0 … K − 1."""
         missing = [at for at, factor in enumerate(self.factors) if factor is None]
         return missing[-1] + 1 if missing else 0
 

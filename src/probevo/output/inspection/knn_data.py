@@ -121,7 +121,7 @@ def rank_correlation(points: FloatArray) -> FloatArray:
     ranks = np.full(points.shape, np.nan)
     for m, column in enumerate(points.T):
         known = np.isfinite(column)
-        # Equal values share the mean of their ranks, lest their order in the file count.
+        # Equal values share the mean of their ranks, so that their order does not matter.
         _, inverse, count = np.unique(column[known], return_inverse=True, return_counts=True)
         ranks[known, m] = (np.cumsum(count) - 0.5 * (count - 1))[inverse]
         ranks[:, m] -= ranks[known, m].mean() if known.any() else 0.0

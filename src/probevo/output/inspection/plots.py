@@ -16,7 +16,7 @@ from probevo.output.svg import GREY, LEGEND_ABOVE, ORANGE, WIDTH_IN
 NARROW_IN = 4.0
 """Width of the figure of a single column of φ."""
 MAX_PAIRED = 4
-"""Columns of which each two are plotted over each other."""
+"""Number of columns that are plotted against each other, in pairs."""
 _BINS = 40
 _SHOWN = (0.005, 0.995)
 """The outermost half percent of the training samples on either side, and all beyond, lie in the

@@ -78,7 +78,7 @@ class CalibrationContent:
         """Return a finite number.
 
         Raises:
-            InputError: there is no such key, or its value is none.
+            InputError: there is no such key, or its value is no finite number.
         """
         value = self.value(key)
         if isinstance(value, str):  # YAML 1.1 takes 1e-5, without a point, for text

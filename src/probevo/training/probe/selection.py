@@ -27,8 +27,8 @@ MAX_QUERIES = 20_000
 best."""
 MAX_LOG_WEIGHT = np.log(MAX_BETA)
 MIN_ERRORS = 10
-"""Number of errors from which on their standard error says how sure a mean is: of ten, a mean is
-more than one standard error off in 34 % of cases, of a Gaussian in 32 %, of three in 42 %."""
+"""Minimum number of errors for a standard error of their mean: with ten, the mean is off by more
+than its standard error in 34 % of cases, with infinitely many in 32 %, with three in 42 %."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def choose_exponent(
 def _num_errors(sampler: SubsetSampler) -> int:
     """Return the number of known errors of a drive that γ may be chosen by.
 
-    A single one is none: see ``choose_exponent``.
+    A single one does not count: see ``choose_exponent``.
     """
     supervision = sampler.supervision
     count = len(supervision.stretches)
