@@ -4,7 +4,8 @@
 
 Each of six drives is left out in turn, and the models are trained on the other five. The fitted
 Student-t has a full 4×4 scale and ν, without and with time-correlated errors of the disparity; the
-kernel has these, too. Prints the likelihood of the residuals, drift and rotation.
+kernel has these, too. Prints the likelihood of the residuals, and drift and rotation with two
+frames and with the window, where the untrained Student-t stands beside them.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ from probevo.training.supervision import supervision_of
 from probevo.training.trainer import TrainingContext
 
 TRACKS = ROOT / "kitti_tracks"
+UNTRAINED = "untrained"
 STUDENT_T = "Student-t"
 CORRELATED = "it, time-correlated"
 KERNEL_NAME = "gk"
+ESTIMATORS = ("two-frame", "window")
 
 
 class Scores(NamedTuple):
@@ -44,8 +47,8 @@ class Scores(NamedTuple):
 
     nats: float
     """Mean log-likelihood of the residuals, nats a feature."""
-    drift_percent: float
-    rotation_deg_per_m: float
+    metrics: dict[str, Metrics]
+    """Drift and rotation by the name of the estimator."""
 
 
 def likelihood(drive: DriveInMemory, model: pv.noise.NoiseModel, motions: MotionPosterior) -> float:
@@ -64,12 +67,12 @@ def likelihood(drive: DriveInMemory, model: pv.noise.NoiseModel, motions: Motion
     return float(errors.log_likelihood.mean())
 
 
-def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
-    """Run the odometry over a tracks file."""
+def run(path: Path, noise: pv.noise.NoiseModel, estimator: str) -> Metrics:
+    """Run an estimator over a tracks file."""
     sequence = pv.open_sequence(path)
     recorder = RunRecorder()
     odometry = pv.StereoOdometry(
-        sequence.camera, noise, sequence.imu, config={"estimator": "two-frame"}
+        sequence.camera, noise, sequence.imu, config={"estimator": estimator}
     )
     for frame in sequence:
         recorder.add(frame.stamp_ns, odometry.step(frame))
@@ -95,23 +98,45 @@ def load(path: Path, space: PredictionSpace, settings: TrainSettings) -> DriveIn
     return DriveInMemory(drive, sequence.camera, supervision)
 
 
-def print_row(path: Path, scores: dict[str, Scores], own_nats: float) -> None:
-    """Print the row of a drive that was left out."""
-    learned = [scores[name] for name in (STUDENT_T, CORRELATED, KERNEL_NAME)]
-    figures = [f"{each.nats:.2f}" for each in learned]
-    figures += [f"{each.drift_percent:.2f}" for each in learned]
-    figures += [f"{each.rotation_deg_per_m:.4f}" for each in learned]
-    shipped = run(path, pv.noise.StudentT())
-    cells = [
-        *figures,
-        f"{own_nats:.2f}",
-        f"{shipped.short_t_percent:.2f}, {shipped.short_r_deg_per_m:.4f}",
+def print_rows(path: Path, scores: dict[str, Scores], own_nats: float) -> None:
+    """Print what was found on a drive that was left out: likelihoods, then a line an estimator."""
+    nats = ", ".join(f"{name} {score.nats:.2f}" for name, score in scores.items())
+    print(f"{path.stem}: nats a feature: {nats}; Student-t of this drive itself {own_nats:.2f}")
+    for estimator in ESTIMATORS:
+        cells = []
+        for name, score in scores.items():
+            metrics = score.metrics[estimator]
+            cells.append(
+                f"{name} {metrics.short_t_percent:.2f} / {metrics.short_r_deg_per_m:.4f},"
+                f" {metrics.final_error_m:.1f} m"
+            )
+        print(f"  {estimator:9}  {';  '.join(cells)}", flush=True)
+
+
+def print_means(rows: list[dict[str, Scores]], own_nats: list[float]) -> None:
+    """Print how the kernel compares with the other models, over all drives."""
+    kernel_nats = np.array([row[KERNEL_NAME].nats for row in rows])
+    gains = [
+        np.mean(kernel_nats - [row[name].nats for row in rows]) for name in (STUDENT_T, CORRELATED)
     ]
-    print(f"| {path.stem} | {' | '.join(cells)} |", flush=True)
+    gains.append(np.mean(kernel_nats - own_nats))
+    print("\ngain over the three, nats: " + ", ".join(f"{gain:.2f}" for gain in gains))
+    for estimator in ESTIMATORS:
+        for name in (UNTRAINED, STUDENT_T, CORRELATED):
+            pairs = [
+                (row[KERNEL_NAME].metrics[estimator], row[name].metrics[estimator]) for row in rows
+            ]
+            drift = geometric_mean(
+                [ours.short_t_percent / its.short_t_percent for ours, its in pairs]
+            )
+            rotation = geometric_mean(
+                [ours.short_r_deg_per_m / its.short_r_deg_per_m for ours, its in pairs]
+            )
+            print(f"{estimator}, gk against {name}: drift × {drift:.3f}, rotation × {rotation:.3f}")
 
 
 def main() -> None:
-    """Print the table of docs/probe-gk.md, and the means over the drives."""
+    """Print the tables of docs/probe-gk.md, and the means over the drives."""
     iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     settings = TrainSettings(
         kind="gk", supervision="none", gk=KernelSettings(iterations=iterations)
@@ -123,12 +148,6 @@ def main() -> None:
     paths = sorted(TRACKS.glob("*.npz"))
     drives = [load(path, space, settings) for path in paths]
 
-    columns = [
-        f"{measure}: {name}"
-        for measure in ("nats", "drift, %", "°/m")
-        for name in (STUDENT_T, CORRELATED, KERNEL_NAME)
-    ]
-    print(f"| left out | {' | '.join(columns)} | nats: own Student-t | shipped |\n|{'---|' * 12}")
     rows: list[dict[str, Scores]] = []
     own_nats: list[float] = []
     for number, (path, own) in enumerate(zip(paths, drives, strict=True)):
@@ -138,6 +157,7 @@ def main() -> None:
         metric = Metric.fitted(phi, space.columns, space.may_be_undefined)
         context = TrainingContext(drives=rest, metric=metric, settings=settings)
         models: dict[str, StudentT | GeneralizedKernel] = {
+            UNTRAINED: StudentT(),
             STUDENT_T: learn_student_t(replace(context, settings=uncorrelated)),
             CORRELATED: learn_student_t(context),
             KERNEL_NAME: learn_kernel(context),
@@ -147,33 +167,17 @@ def main() -> None:
         motions = solve_drive(own, models[STUDENT_T].predict, settings.odometry.solver)
         scores = {}
         for name, model in models.items():
-            metrics = run(path, model)
             scores[name] = Scores(
                 nats=likelihood(own, model, motions),
-                drift_percent=metrics.short_t_percent,
-                rotation_deg_per_m=metrics.short_r_deg_per_m,
+                metrics={estimator: run(path, model, estimator) for estimator in ESTIMATORS},
             )
         rows.append(scores)
 
         # For comparison, a Student-t that was fitted to the left-out drive itself.
         of_own = learn_student_t(replace(context, drives=[own]))
         own_nats.append(likelihood(own, of_own, motions))
-        print_row(path, scores, own_nats[-1])
-
-    kernel_nats = np.array([row[KERNEL_NAME].nats for row in rows])
-    gains = [
-        np.mean(kernel_nats - [row[name].nats for row in rows]) for name in (STUDENT_T, CORRELATED)
-    ]
-    gains.append(np.mean(kernel_nats - own_nats))
-    print("\ngain over the three, nats: " + ", ".join(f"{gain:.2f}" for gain in gains))
-    for name in (STUDENT_T, CORRELATED):
-        drift = geometric_mean(
-            [row[KERNEL_NAME].drift_percent / row[name].drift_percent for row in rows]
-        )
-        rotation = geometric_mean(
-            [row[KERNEL_NAME].rotation_deg_per_m / row[name].rotation_deg_per_m for row in rows]
-        )
-        print(f"against the {name}: drift × {drift:.3f}, rotation × {rotation:.3f}")
+        print_rows(path, scores, own_nats[-1])
+    print_means(rows, own_nats)
 
 
 def geometric_mean(ratios: list[float]) -> float:

@@ -216,3 +216,22 @@ def test_cameras_that_are_not_exposed_alike_are_marked(
     assert ("! exposure" in rows) == (gain < 1.0)
     if gain < 1.0:
         assert rows["! exposure"].startswith(f"right images have {gain:.2g} times the contrast")
+
+
+@pytest.mark.parametrize("is_mosaic", [False, True])
+def test_raw_images_of_a_colour_camera_are_marked(
+    is_mosaic: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_wall(tmp_path / "wall", 4)
+    if is_mosaic:
+        for side in ("left", "right"):
+            for path in sorted((recording / side).iterdir()):
+                image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                assert image is not None
+                image[::2, ::2] = np.round(0.8 * image[::2, ::2])  # red
+                image[1::2, 1::2] = np.round(0.65 * image[1::2, 1::2])  # blue
+                write_image(path, image)
+    rows = info(recording, capsys)
+    assert ("! mosaic" in rows) == is_mosaic
+    if is_mosaic:
+        assert "differ by 54 %" in rows["! mosaic"]  # 1 / 0.65

@@ -82,6 +82,7 @@ def main(words: list[str]) -> None:
         rows += examine(sequence)
         rows += _order_warnings(sequence)
         rows += _exposure_warnings(sequence)
+        rows += _mosaic_warnings(sequence)
         rows += _imu_warnings(sequence)
     finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
@@ -320,6 +321,28 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
         " lost in noise or in white stays lost. Give both cameras the same exposure."
     )
     return [("! exposure", text)]
+
+
+def _mosaic_warnings(sequence: Sequence) -> Rows:
+    """Warn of raw images of colour cameras."""
+    from probevo.tracking.color_mosaic import LEAST_DIFFERENCE, difference_of_places
+    from probevo.tracking.left_right import FRAMES_TO_SEE
+
+    differences = [
+        max(difference_of_places(frame.left), difference_of_places(frame.right))
+        for frame in islice(sequence, FRAMES_TO_SEE + 1)
+        if frame.left is not None and frame.right is not None
+    ]
+    # A mosaic is in every image; in a single one, a pattern of the scene may look like it.
+    difference = min(differences, default=0.0)
+    if difference < LEAST_DIFFERENCE:
+        return []
+    text = (
+        f"pixels of even and odd rows and columns differ by {100.0 * difference:.0f} % in the mean."
+        " Are these the raw images of a colour camera? Convert them to grey first, as by OpenCV's"
+        " cvtColor: their mosaic costs up to two thirds of the features."
+    )
+    return [("! mosaic", text)]
 
 
 def examine(sequence: Sequence) -> Rows:
