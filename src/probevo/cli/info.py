@@ -325,7 +325,7 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
 
 def _mosaic_warnings(sequence: Sequence) -> Rows:
     """Warn of raw images of colour cameras."""
-    from probevo.tracking.color_mosaic import LEAST_DIFFERENCE, difference_of_places
+    from probevo.tracking.color_mosaic import MIN_DIFFERENCE, difference_of_places
     from probevo.tracking.left_right import FRAMES_TO_SEE
 
     differences = [
@@ -335,7 +335,7 @@ def _mosaic_warnings(sequence: Sequence) -> Rows:
     ]
     # A mosaic is in every image; in a single one, a pattern of the scene may look like it.
     difference = min(differences, default=0.0)
-    if difference < LEAST_DIFFERENCE:
+    if difference < MIN_DIFFERENCE:
         return []
     text = (
         f"pixels of even and odd rows and columns differ by {100.0 * difference:.0f} % in the mean."
