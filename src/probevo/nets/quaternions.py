@@ -19,14 +19,6 @@ MIN_LENGTH_SQ = 1e-12
 """Added to a squared length before a vector is divided by it."""
 
 
-def entire_series(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
-    """Return Σ_k a_k x^k by Horner's rule: no case distinction, and so no NaN in derivatives."""
-    total = jnp.zeros_like(x)
-    for coefficient in reversed(coefficients):
-        total = total * x + coefficient
-    return total
-
-
 def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
     """Return the Stumpff function c_n = Σ_k (−1)^k θ^{2k} / (2k + n)!.
 
@@ -34,8 +26,11 @@ def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
         order: n.
         angle_sq: θ², [...], rad²; accurate up to θ = 2π.
     """
-    coefficients = tuple((-1) ** k / factorial(2 * k + order) for k in range(TERMS))
-    return entire_series(coefficients, angle_sq)
+    # By Horner's rule: no case distinction, and so no NaN in derivatives.
+    total = jnp.zeros_like(angle_sq)
+    for k in reversed(range(TERMS)):
+        total = total * angle_sq + (-1) ** k / factorial(2 * k + order)
+    return total
 
 
 def normalized(vectors: jax.Array) -> jax.Array:
