@@ -39,9 +39,9 @@ from probevo.sequences.formats.kitti_flow import (
 
 HALF_PX = 4
 """Half a window of the truth, to which a plane is fitted."""
-FEWEST_KNOWN = 20
+MIN_KNOWN = 20
 """Pixels of it that have to be known."""
-MOST_ROUGH_PX = 0.5
+MAX_ROUGH_PX = 0.5
 """The truth is that of one surface where it deviates from the plane by less (RMS)."""
 NEIGHBOURS_PX = (12.0, 40.0)
 """Distance of neighbouring features: their windows, of 11 px, do not overlap."""
@@ -84,7 +84,7 @@ def plane_at(truth: FloatArray, u: float, v: float) -> tuple[float, float] | Non
         max(row - HALF_PX, 0) : row + HALF_PX + 1, max(column - HALF_PX, 0) : column + HALF_PX + 1
     ]
     known = np.argwhere(np.isfinite(window))
-    if len(known) < FEWEST_KNOWN:
+    if len(known) < MIN_KNOWN:
         return None
     rows, columns = known.T
     place = np.column_stack(
@@ -117,7 +117,7 @@ def features_of(folder: Path, scene: int, noise: str, num_features: int) -> Feat
     if predicted.time_correlated is not None:
         scale[:, DISPARITY, DISPARITY] += predicted.time_correlated
     found = [truth_at(truth, float(u), float(v)) for u, v in tracks.prev_px[:, :2]]
-    kept = [k for k, each in enumerate(found) if each is not None and max(each[1]) < MOST_ROUGH_PX]
+    kept = [k for k, each in enumerate(found) if each is not None and max(each[1]) < MAX_ROUGH_PX]
     true = np.array([found[k][0] for k in kept]).reshape(-1, 3)
     measured = np.column_stack(
         [

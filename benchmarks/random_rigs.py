@@ -51,7 +51,7 @@ RUNS = {"two-frame": "two-frame", "window": "window", "window, IMU": "window"}
 CARRIED_RATES_HZ = (10, 15, 20, 30)
 CARRIED_FRAMES = 120
 CARRIED_SPEED_M_S = 1.3
-MOST_FAST_FRAMES = 80.0
+MAX_FAST_FRAMES = 80.0
 """Frames at more than 20 Hz are so many that the drive is shortened."""
 
 
@@ -81,7 +81,7 @@ def drawn(rng: np.random.Generator, number: int, scene_seed: int) -> SceneConfig
     )
     distance_m = DISTANCE_M[preset]
     if rate_hz > 20.0:
-        distance_m = min(distance_m, distance_m * MOST_FAST_FRAMES / (4.0 * rate_hz))
+        distance_m = min(distance_m, distance_m * MAX_FAST_FRAMES / (4.0 * rate_hz))
     return SceneConfig(
         preset=preset,
         seed=scene_seed,

@@ -36,9 +36,9 @@ RECORDINGS = {
 }
 RENDERED = ("city, clean", "city, effects", "rover's loop, clean")
 MOVED_PX = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, np.inf)
-FEWEST_PAIRS = 100
-FEWEST_FRAMES = 6
-LEAST_STATIC_WEIGHT = 0.5
+MIN_PAIRS = 100
+MIN_FRAMES = 6
+MIN_STATIC_WEIGHT = 0.5
 OUTLIER_PX = 1.5
 FULL_WINDOW = 9
 """Index of the frame from which on the window is full."""
@@ -85,8 +85,8 @@ def pairs(sequence: Sequence) -> Iterator[tuple[FloatArray, FloatArray, FloatArr
             continue
         landmark, error_px = residuals(window, sequence.camera)
         num_seen = np.bincount(landmark, minlength=len(window.ids))
-        good = num_seen[landmark] >= FEWEST_FRAMES
-        good &= window.landmarks.static_weight[landmark] > LEAST_STATIC_WEIGHT
+        good = num_seen[landmark] >= MIN_FRAMES
+        good &= window.landmarks.static_weight[landmark] > MIN_STATIC_WEIGHT
         good &= np.abs(error_px).max(axis=1) < OUTLIER_PX
         chosen = good[1:] & good[:-1] & (landmark[1:] == landmark[:-1])
         moved = np.diff(window.observations.pixels[:, :2], axis=0)
@@ -103,7 +103,7 @@ def show(name: str, sequence: Sequence) -> None:
     print(f"{name:26} {'all':>11}  {_line(before, after)}")
     for low, high in pairwise(MOVED_PX):
         chosen = (moved_px >= low) & (moved_px < high)
-        if chosen.sum() >= FEWEST_PAIRS:
+        if chosen.sum() >= MIN_PAIRS:
             print(f"{'':26} {low:4g} – {high:4g}  {_line(before[chosen], after[chosen])}")
 
 

@@ -76,7 +76,7 @@ LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
 WARM = 500
 """Frames after which all is compiled, and what lives by then lives to the end."""
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 EVERY = 100
 """Frames from one sample of memory, and one release, to the next."""
 RATE_HZ = 10.0
@@ -248,9 +248,9 @@ class Watch:
     """Frames after which the recording begins again with its first version."""
     start_s: float = field(default_factory=time.monotonic)
     num_steps: int = 0
-    times_ms: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS, 2), 1.0))
+    times_ms: FloatArray = field(default_factory=lambda: np.full((MAX_STEPS, 2), 1.0))
     """By the clock and by the processor; written to now, so that it is in memory from now on."""
-    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 8), 1.0))
+    samples: FloatArray = field(default_factory=lambda: np.full((MAX_STEPS // EVERY, 8), 1.0))
     """Step, resident memory before and after the release, the part of the latter that no file
     backs, and memory in use (NaN where it is not known) in MB, small objects, threads, handles;
     rows of numbers, since the objects of a list would be counted, too."""

@@ -26,7 +26,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.ransac import find_consensus
-from probevo.estimation.rival_motion import FEWEST_UNPREDICTED, Supported, outranks
+from probevo.estimation.rival_motion import MIN_UNPREDICTED, Supported, outranks
 from probevo.geometry import se3
 from probevo.sequences.frame import Frame
 from probevo.sequences.recording import StereoRecording
@@ -38,7 +38,7 @@ DISTANCE_M: dict[PresetName, float] = {"road": 120.0, "city": 40.0}
 FIRST_SEED = 41
 WRONG_FROM = 0.2
 """Error of a translation, as a share of its length, from which on it is another motion's."""
-LEAST_ERROR_M = 0.1
+MIN_ERROR_M = 0.1
 AGAINST_PX = 6.0
 
 
@@ -58,7 +58,7 @@ class Street(NamedTuple):
         """Return whether a motion is that of the camera from a frame to the next."""
         true_m = self.motion(index)[:3, 3]
         error_m = float(np.linalg.norm(T_curr_prev[:3, 3] - true_m))
-        return error_m <= max(LEAST_ERROR_M, WRONG_FROM * float(np.linalg.norm(true_m)))
+        return error_m <= max(MIN_ERROR_M, WRONG_FROM * float(np.linalg.norm(true_m)))
 
 
 def rendered(preset: PresetName, seed: int, traffic: float, folder: Path) -> Street:
@@ -125,7 +125,7 @@ def ranked(street: Street, index: int) -> list[Ranked]:
         found = find_consensus(tracks, camera, np.random.default_rng(0), guess=start)
         motion = Supported(found.T_curr_prev, tracks.subset(found.inliers))
         (right if street.is_right(found.T_curr_prev, index) else wrong).append(motion)
-    fewest = FEWEST_UNPREDICTED * config.solver.min_tracks
+    fewest = MIN_UNPREDICTED * config.solver.min_tracks
     pairs = []
     for one in right:
         for other in wrong:

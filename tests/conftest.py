@@ -33,7 +33,7 @@ LONGEST = (
 )
 """Files of more than ten seconds of processor time, which several processes begin with. Those that
 start processes of their own come later: what is compiled by then, these need not compile again."""
-LEAST_PROCESSES = 3
+MIN_PROCESSES = 3
 """Of ``--numprocesses auto``. Some tests wait: two processes would leave a core of two idle. Three
 keep both busy 97 % of the time, and each more one imports all tests once more, for 11 s."""
 
@@ -45,7 +45,7 @@ def pytest_xdist_auto_num_workers() -> int | None:
     """Return the number of processes for ``--numprocesses auto``; None if the user has set it."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
-    return max(os.cpu_count() or 1, LEAST_PROCESSES)
+    return max(os.cpu_count() or 1, MIN_PROCESSES)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

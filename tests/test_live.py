@@ -21,7 +21,7 @@ import probevo as pv
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3, so3
-from probevo.live import MAX_FAILURES, MOST_UNREAD
+from probevo.live import MAX_FAILURES, MAX_UNREAD
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
@@ -181,10 +181,10 @@ def test_who_does_not_read_loses_frames_but_no_motion_and_keeps_no_memory() -> N
     odometry = free()
     live = pv.LiveOdometry(odometry)
     images = []
-    for index in range(MOST_UNREAD):
+    for index in range(MAX_UNREAD):
         live.push(blind_frame(index))
         odometry.has_begun(index)
-    for index in range(MOST_UNREAD, 100):
+    for index in range(MAX_UNREAD, 100):
         image = np.zeros((4, 4), np.uint8)
         images.append(weakref.ref(image))
         live.push(replace(blind_frame(index), left=image))
@@ -194,10 +194,10 @@ def test_who_does_not_read_loses_frames_but_no_motion_and_keeps_no_memory() -> N
     assert sum(image() is not None for image in images) == 1
     live.close()
     estimates = list(live.estimates())
-    assert [estimate.index for estimate in estimates] == [*range(MOST_UNREAD), 99]
+    assert [estimate.index for estimate in estimates] == [*range(MAX_UNREAD), 99]
     assert estimates[-1].prev_stamp_ns == estimates[-2].stamp_ns
     assert (
-        sum(estimate.num_dropped for estimate in estimates) == live.num_dropped == 99 - MOST_UNREAD
+        sum(estimate.num_dropped for estimate in estimates) == live.num_dropped == 99 - MAX_UNREAD
     )
 
 

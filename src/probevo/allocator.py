@@ -14,7 +14,7 @@ _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 """Parameter of ``mallopt``: the number of heaps that threads are spread over."""
 KEPT_BYTES = 256 << 20
-LARGEST_BYTES = 32 << 20
+MAX_BYTES = 32 << 20
 """The largest threshold that glibc allows."""
 
 
@@ -32,7 +32,7 @@ def keep_freed_memory() -> bool:
     mallopt = _of_glibc("mallopt")
     if mallopt is None:
         return False
-    values = {_M_MMAP_THRESHOLD: LARGEST_BYTES, _M_TRIM_THRESHOLD: KEPT_BYTES, _M_ARENA_MAX: 1}
+    values = {_M_MMAP_THRESHOLD: MAX_BYTES, _M_TRIM_THRESHOLD: KEPT_BYTES, _M_ARENA_MAX: 1}
     return all(mallopt(parameter, value) for parameter, value in values.items())
 
 

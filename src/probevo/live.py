@@ -24,10 +24,10 @@ from probevo.sequences.validation import (
     with_plain_arrays,
 )
 
-MOST_UNREAD = 16
+MAX_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
 
-MOST_IMU_NS = 10_000_000_000
+MAX_IMU_NS = 10_000_000_000
 """Longest interval of IMU samples that a frame takes over from dropped ones; without a bound they
 would accumulate if nobody reads the estimates."""
 
@@ -91,12 +91,12 @@ class _Arrival:
 
 def _joined_samples(earlier: ImuSamples | None, later: ImuSamples | None) -> ImuSamples | None:
     """Return the IMU samples of two intervals in a row; None if either has none, or if both are
-    longer than ``MOST_IMU_NS``."""
+    longer than ``MAX_IMU_NS``."""
     if earlier is None or later is None:
         return None
     joined = earlier.followed_by(later)
     stamps_ns = joined.stamps_ns
-    if len(stamps_ns) and stamps_ns[-1] - stamps_ns[0] > MOST_IMU_NS:
+    if len(stamps_ns) and stamps_ns[-1] - stamps_ns[0] > MAX_IMU_NS:
         return None
     return joined
 
@@ -378,7 +378,7 @@ class LiveOdometry:
         None at the end."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._closed or (self._frames and len(self._unread) < MOST_UNREAD)
+                lambda: self._closed or (self._frames and len(self._unread) < MAX_UNREAD)
             )
             return self._frames.popleft() if self._frames else None
 

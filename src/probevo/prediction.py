@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
-from probevo.estimation.recovery import MOST_DURATION_S, Recovery, noise_factor
+from probevo.estimation.recovery import MAX_DURATION_S, Recovery, noise_factor
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_steps import with_samples
@@ -74,7 +74,7 @@ class Prediction:
         if window is not None and usable.state.frame.index not in window.frames:
             return None
         duration_s = usable.path.duration_s + self.duration_s
-        if duration_s > MOST_DURATION_S:
+        if duration_s > MAX_DURATION_S:
             return None
         # The features are those of the usable frame; the motion is the path since then and the step
         # predicted. The gyro was integrated over that step only, and does not apply.

@@ -63,7 +63,7 @@ def as_noise(noise: object) -> NoiseModel:
         noise: None for the static Student-t.
 
     Raises:
-        InputError: it is none, the name is unknown, or the file holds no model.
+        InputError: it is no noise model, the name is unknown, or the file holds no model.
     """
     if noise is None:
         return StudentT()

@@ -25,7 +25,7 @@ FORMAT_HELP = (
 
 SettingsType = TypeVar("SettingsType", bound=Settings)
 
-MOST_FAULTS = 8
+MAX_FAULTS = 8
 """Wrong settings that a message names."""
 
 
@@ -366,9 +366,9 @@ def setting_error(
         for key, fault in faults
         if fault["type"] != "too_short" or not any(other.startswith(f"{key}.") for other in keys)
     ]
-    texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults[:MOST_FAULTS]]
-    if len(faults) > MOST_FAULTS:
-        texts.append(f"and {len(faults) - MOST_FAULTS} more")
+    texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults[:MAX_FAULTS]]
+    if len(faults) > MAX_FAULTS:
+        texts.append(f"and {len(faults) - MAX_FAULTS} more")
 
     known = dict(_known_keys(model))
     first_key, first_fault = faults[0]

@@ -6,8 +6,8 @@ nothing else of probevo names their modules.
 
 from __future__ import annotations
 
+from collections import abc
 from collections.abc import Callable, Mapping
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the help of a command should not wait for SciPy
     from probevo.arrays import FloatArray
     from probevo.measurements.correction import MotionCorrection
     from probevo.measurements.sensor import Sensor
-    from probevo.sequences.base import Sequence as Recording
+    from probevo.sequences.base import Sequence
 
 _MARK = b'"probevo-network"'
 _LONGEST_HEADER = 1_000_000
@@ -103,7 +103,7 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
 
 
 def load_sensors(
-    paths: Collection[Path], recording: Recording
+    paths: abc.Sequence[Path], recording: Sequence
 ) -> tuple[Sensor | MotionCorrection, ...]:
     """Return the sensors of files, for images of a recording.
 

@@ -16,9 +16,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.noise_scale import NoiseScale
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.recovery import (
-    DeadReckonedPath,
-)
+from probevo.estimation.recovery import DeadReckonedPath
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.window import Window

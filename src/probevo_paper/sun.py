@@ -25,7 +25,7 @@ from probevo.measurements.direction import tangent_axes
 from probevo.measurements.sensor import read_sensor
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo_paper.sun_config import SunConfig
-from probevo_sim.sun_sensor import LEAST_SIGMA_RAD, Fault, SunSensor
+from probevo_sim.sun_sensor import MIN_SIGMA_RAD, Fault, SunSensor
 
 CAMERA = StereoCamera.centered(400.0, 0.5, (640, 480))
 DEPTHS_M = (4.0, 20.0)
@@ -34,7 +34,8 @@ WITHOUT_OUTLIERS = {
     "self_calibration": False,
     "ransac": {"threshold_px": 50.0},
 }
-"""There are none, and a threshold would cut the tails of the noise."""
+"""Settings of the odometry. There are no outliers, and a threshold would cut the tails of the
+noise."""
 FRAME_NS = 100_000_000
 TURN_RAD = 1.0
 """The heading swings by so much to either side,"""
@@ -100,7 +101,7 @@ def true_path(settings: SunConfig) -> FloatArray:
 def simulated_frames(
     settings: SunConfig, T_world_cam: FloatArray, rng: np.random.Generator
 ) -> Iterator[Frame]:
-    """Yield frames of which each pair sees points of its own, with white noise."""
+    """Yield frames; each two successive ones see points of their own, with white noise."""
     num_points = settings.points
     ids = np.arange(num_points)
     seen_m = np.zeros((0, 3))
@@ -298,7 +299,7 @@ def _row_with(
         paths.append(fused_path(drive, sensor))
     bounds = None
     if fault is None:
-        claimed_rad = max(sigma_rad, LEAST_SIGMA_RAD)
+        claimed_rad = max(sigma_rad, MIN_SIGMA_RAD)
         bounds = [attitude_bound(drive, claimed_rad, every) for drive in drives]
     name = f"σ {sigma_deg:g}°, every {every}"
     if fault is not None:

@@ -5,7 +5,6 @@ Source: the synthetic experiment of PROBE-GK; thesis 1.5.3.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from probevo.geometry import se3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
 from probevo.storage.files import remove_stale, write_atomically
+from probevo.storage.npz import write_npz
 from probevo.tracking.feature_matcher import FeatureMatcher
 from probevo.tracking.tracker import TrackingState
 from probevo.tracking.tracks import Tracks
@@ -27,7 +27,8 @@ from probevo_sim.noise_laws import NoiseLaw
 from probevo_sim.point_config import PointConfig
 
 MAX_SIGHTINGS = 30_000_000
-"""Most frames times landmarks: about an eighth of them are seen, which takes 1.5 GB at the peak."""
+"""Largest product of frames and landmarks: about an eighth of them are seen, which takes 1.5 GB at
+the peak."""
 
 
 @dataclass(frozen=True)
@@ -233,9 +234,7 @@ def write_points(world: PointWorld, path: Path) -> None:
         "inlier": world.inlier,
         "true_uv": world.true_px,
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # as in output/motions_file.py
-    write_atomically(path, buffer.getvalue())
+    write_npz(path, arrays, is_compressed=True)
 
 
 def write_training_and_test(config: PointConfig, folder: Path) -> tuple[PointWorld, PointWorld]:

@@ -14,7 +14,7 @@ from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.sensor import NoMeasurement
 from probevo.sequences.frame import Frame
 
-LEAST_SIGMA_RAD = math.radians(0.1)
+MIN_SIGMA_RAD = math.radians(0.1)
 """What a sensor without noise claims: a covariance of zero is none."""
 OFFSET_RAD = math.radians(20.0)
 
@@ -59,7 +59,7 @@ class SunSensor:
         """Return the direction of the sun, or that this frame has no sighting."""
         if frame.index % self.every:
             return NoMeasurement("between sightings")
-        sigma_rad = max(self.sigma_rad, LEAST_SIGMA_RAD)
+        sigma_rad = max(self.sigma_rad, MIN_SIGMA_RAD)
         return [
             Direction(
                 pose_of(frame.index),

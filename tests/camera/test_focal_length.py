@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.camera.focal_length import MOST_BLOCKS, PRIOR_SIGMA, FocalLengthEstimate
+from probevo.camera.focal_length import MAX_BLOCKS, PRIOR_SIGMA, FocalLengthEstimate
 from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
@@ -145,7 +145,7 @@ def test_joining_blocks_keeps_the_estimate() -> None:
         estimate = estimate.with_step(information, gradient, by)
         total += information
         moment += gradient + information @ by
-    assert len(estimate.moment) <= MOST_BLOCKS
+    assert len(estimate.moment) <= MAX_BLOCKS
     assert (estimate.block_frames * (len(estimate.moment) - 1) + estimate.last_frames) == 1000
     np.testing.assert_allclose(estimate.information.sum(axis=0), total)
     np.testing.assert_allclose(estimate.moment.sum(axis=0), moment)

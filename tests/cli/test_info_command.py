@@ -115,7 +115,7 @@ def test_few_matches_and_implausible_distances_are_marked(
 def test_some_matches_are_few(
     wall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("probevo.cli.info.FEWEST_TRACKS", 10_000)
+    monkeypatch.setattr("probevo.cli.info.MIN_TRACKS", 10_000)
     assert "These are few. Are the images rectified" in info(wall, capsys)["! matches"]
 
 

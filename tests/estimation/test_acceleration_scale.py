@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probevo.estimation.acceleration_scale import LARGEST_FACTOR, MEMORY_S, AccelerationScale
+from probevo.estimation.acceleration_scale import MAX_FACTOR, MEMORY_S, AccelerationScale
 
 STEP_S = 0.05
 CONFIGURED = np.repeat([5.0, 2.0], 3)
@@ -114,4 +114,4 @@ def test_a_wrong_stamp_pretends_no_more_than_the_largest_acceleration() -> None:
     np.testing.assert_allclose(scale.factors, 1.0, atol=1e-6)
     for _ in range(1000):
         scale = scale.after(np.full(6, 1e7), NO_NOISE, accelerations=CONFIGURED, duration_s=STEP_S)
-    np.testing.assert_allclose(scale.factors, LARGEST_FACTOR, rtol=0.01)
+    np.testing.assert_allclose(scale.factors, MAX_FACTOR, rtol=0.01)

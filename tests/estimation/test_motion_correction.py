@@ -12,7 +12,7 @@ import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.motion_correction import LEAST_WEIGHT, Shares, shares_of
+from probevo.estimation.motion_correction import MIN_WEIGHT, Shares, shares_of
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.further_measurements import with_measurements
@@ -61,7 +61,7 @@ def test_equal_motions_count_half_each_and_a_contradicted_one_counts_nothing() -
 def test_features_that_two_frames_distrust_are_inflated_more() -> None:
     weights = np.array([1.0, 0.5, 0.0])
     factors = Shares(features=5.0, motion=2.0).of_features(weights)
-    np.testing.assert_allclose(factors, [5.0, 9.0, 1.0 + 4.0 / LEAST_WEIGHT])
+    np.testing.assert_allclose(factors, [5.0, 9.0, 1.0 + 4.0 / MIN_WEIGHT])
     np.testing.assert_array_equal(Shares(1.0, 1.0).of_features(weights), 1.0)
 
 

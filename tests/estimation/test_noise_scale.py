@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from probevo.estimation.noise_scale import LARGEST_FACTOR, MEMORY_STEPS, PRIOR_STEPS, NoiseScale
+from probevo.estimation.noise_scale import MAX_FACTOR, MEMORY_STEPS, PRIOR_STEPS, NoiseScale
 
 
 def after(shown: list[float | None], scale: NoiseScale | None = None) -> NoiseScale:
@@ -44,8 +44,8 @@ def test_a_step_that_shows_nothing_changes_nothing(nothing: float | None) -> Non
 @pytest.mark.parametrize("shown", [0.0, 1e-300, 1e300, math.inf])
 def test_nothing_leads_beyond_the_bounds(shown: float) -> None:
     factor = after([shown] * 1000).factor
-    assert factor * (1.0 + 1e-9) >= 1.0 / LARGEST_FACTOR
-    assert factor <= LARGEST_FACTOR * (1.0 + 1e-9)
+    assert factor * (1.0 + 1e-9) >= 1.0 / MAX_FACTOR
+    assert factor <= MAX_FACTOR * (1.0 + 1e-9)
 
 
 def test_one_noisy_frame_counts_as_one() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
-from probevo.estimation.pose_filter import LEAST_SIGMA, PoseFilter
+from probevo.estimation.pose_filter import MIN_SIGMA, PoseFilter
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.measurements.base import Values, Variable, VectorMeasurement, pose_of
@@ -121,7 +121,7 @@ def test_update_is_that_of_kalman(dim: int) -> None:
     for _ in range(20):
         pose = random_pose(rng)
         T_cam_world = se3.inverse(pose.T_world_cam)
-        P = pose.cov + np.diag(LEAST_SIGMA**2)
+        P = pose.cov + np.diag(MIN_SIGMA**2)
         H = rng.normal(size=(dim, 6))
         R = random_covariance(rng, dim, 0.1)
         z = rng.multivariate_normal(np.zeros(dim), 0.01 * (H @ P @ H.T + R))
@@ -158,7 +158,7 @@ def test_common_mode_shrinks_with_the_update() -> None:
     rng = np.random.default_rng(5)
     for _ in range(20):
         pose = random_pose(rng)
-        P = pose.cov + np.diag(LEAST_SIGMA**2)
+        P = pose.cov + np.diag(MIN_SIGMA**2)
         H = rng.normal(size=(3, 6))
         R = random_covariance(rng, 3, 0.05)
         T_cam_world = se3.inverse(pose.T_world_cam)

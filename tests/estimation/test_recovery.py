@@ -10,7 +10,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.recovery import (
-    MOST_DURATION_S,
+    MAX_DURATION_S,
     DeadReckonedPath,
     Recovery,
     noise_factor,
@@ -151,7 +151,7 @@ def test_features_of_long_ago_are_given_up() -> None:
     """The same points behind more than three seconds of blindness are those of a new start."""
     at_rest = np.broadcast_to(np.eye(4), (60, 4, 4))
     frames = drive(np.random.default_rng(0), 60, np.array(at_rest))
-    for index in range(10, 10 + round(10 * MOST_DURATION_S) + 1):
+    for index in range(10, 10 + round(10 * MAX_DURATION_S) + 1):
         frames[index] = blind_frame(index)
     statuses = {motion.status for motion in motions_of(frames)}
     assert pv.Status.RECOVERED not in statuses

@@ -14,7 +14,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.self_calibration import (
-    MOST_REPEATED_SOLVES,
+    MAX_REPEATED_SOLVES,
     CalibratedMotion,
     SelfCalibratingEstimator,
 )
@@ -115,7 +115,7 @@ def test_more_jitter_than_expected_is_solved_again() -> None:
     rig = replace(RigCalibration.initial(), jitter=TIGHT)
     estimate(jittered(tracks, np.array([0.0, 1e-2, 0.0])), rig)  # more than it may solve again for
     found, num_solves = estimate(moved, rig)
-    assert 1 < num_solves <= 1 + MOST_REPEATED_SOLVES
+    assert 1 < num_solves <= 1 + MAX_REPEATED_SOLVES
     assert found.rig is not None
     assert found.rig.jitter.exceeds(TIGHT.cov)
 

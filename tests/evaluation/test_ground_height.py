@@ -6,7 +6,7 @@ import pytest
 import probevo as pv
 from probevo.camera.stereo import StereoCamera
 from probevo.cli.calibrate_check import check
-from probevo.evaluation.ground_height import FEWEST_BLOCKS, GroundHeight, GroundHeights
+from probevo.evaluation.ground_height import MIN_BLOCKS, GroundHeight, GroundHeights
 from probevo.geometry import se3
 from probevo.output.run_warnings import height_warning
 from probevo.runs.runner import run_sequence
@@ -97,7 +97,7 @@ def test_a_camera_whose_height_varies_has_none() -> None:
 
 
 def test_a_camera_at_rest_or_with_few_frames_has_none() -> None:
-    assert driven(4, steps=5 * FEWEST_BLOCKS // 2) is None
+    assert driven(4, steps=5 * MIN_BLOCKS // 2) is None
     heights = GroundHeights(CAMERA)
     pixels = CAMERA.project(np.array([[0.0, 1.65, 8.0]]))
     for k in range(100):

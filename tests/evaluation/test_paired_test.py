@@ -20,7 +20,7 @@ from probevo.evaluation.autoregression import series_of
 from probevo.evaluation.metrics import evaluate
 from probevo.evaluation.paired_test import (
     ERRORS,
-    FEWEST_STEPS,
+    MIN_STEPS,
     exchanged_differences,
     paired_differences,
 )
@@ -138,7 +138,7 @@ def test_all_figures_are_those_of_the_metrics() -> None:
 
 
 def test_equal_runs_do_not_differ() -> None:
-    T = true_motions(FEWEST_STEPS)
+    T = true_motions(MIN_STEPS)
     found = paired_differences(T, T, se3.chain_motions(T), np.random.default_rng(0), draws=19)
     assert not any(difference.is_significant for difference in found.values())
     assert {difference.p_value for difference in found.values()} == {1.0}
@@ -158,11 +158,11 @@ def test_exchanges_that_give_the_very_difference_of_the_runs_count() -> None:
 
 
 def test_too_few_steps_or_true_poses_give_nothing() -> None:
-    T = true_motions(FEWEST_STEPS - 1)
+    T = true_motions(MIN_STEPS - 1)
     rng = np.random.default_rng(0)
     assert paired_differences(T, T, se3.chain_motions(T), rng) == {}
-    T = true_motions(FEWEST_STEPS)
-    truth = np.full((FEWEST_STEPS + 1, 4, 4), np.nan)
+    T = true_motions(MIN_STEPS)
+    truth = np.full((MIN_STEPS + 1, 4, 4), np.nan)
     truth[3] = np.eye(4)
     assert paired_differences(T, T, truth, rng) == {}
 

@@ -6,7 +6,7 @@ import pytest
 from probevo.geometry import se3, so3
 from probevo.measurements.base import Values, numeric_jacobians, pose_of
 from probevo.measurements.relative import relative_motion
-from probevo.measurements.relative_rotation import LEAST_SIGMA_RAD, RelativeRotation
+from probevo.measurements.relative_rotation import MIN_SIGMA_RAD, RelativeRotation
 
 PREV = pose_of(4)
 CURR = pose_of(5)
@@ -67,7 +67,7 @@ def test_translation_is_not_constrained() -> None:
 def test_no_rotation_is_known_better_than_the_least_sigma() -> None:
     """A gyro said to be without noise."""
     exact = RelativeRotation(np.eye(3), np.zeros((3, 3)), curr=CURR)
-    np.testing.assert_array_equal(exact.covariance, LEAST_SIGMA_RAD**2 * np.eye(3))
+    np.testing.assert_array_equal(exact.covariance, MIN_SIGMA_RAD**2 * np.eye(3))
 
 
 def test_relative_motion_maps_points_from_prev_to_curr() -> None:

@@ -16,7 +16,7 @@ from probevo.nets import methods  # noqa: E402
 from probevo.nets.covariance_scale import negative_log_likelihoods  # noqa: E402
 from probevo.nets.methods import Method, Prediction  # noqa: E402
 from probevo.nets.networks import SELU_NEGATIVE, alpha_dropout, plain_dropout  # noqa: E402
-from probevo.nets.target_space import LEAST_SIGMA_RAD, NumberTargets, RotationTargets  # noqa: E402
+from probevo.nets.target_space import MIN_SIGMA_RAD, NumberTargets, RotationTargets  # noqa: E402
 
 STEP = 1e-6
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
@@ -38,7 +38,7 @@ def test_covariances_are_learned_or_spread_or_both(method: Method) -> None:
     has_spread = method.num_estimates > 1
     assert (np.linalg.eigvalsh(result.spread).max(axis=-1) > 0.0).all() == has_spread
     assert result.spread.any() == has_spread
-    least = LEAST_SIGMA_RAD**2 * np.eye(3)
+    least = MIN_SIGMA_RAD**2 * np.eye(3)
     assert np.array_equal(result.learned, np.tile(least, (7, 1, 1))) != method.learns_covariance
     assert np.linalg.eigvalsh(result.covariance).min() > 0.0
     assert result.covariance == pytest.approx(result.learned + result.spread)

@@ -15,8 +15,8 @@ from probevo.nets import quaternions  # noqa: E402
 from probevo.nets.flow_field import CELL_PX, CELLS, FOCAL_PX, mirrored, rotated  # noqa: E402
 from probevo.nets.random_copies import (  # noqa: E402
     BATCH,
-    MOST_CELLS,
-    MOST_FURTHER_RAD,
+    MAX_CELLS,
+    MAX_FURTHER_RAD,
     RandomCopies,
     turned_pairs,
     turned_views,
@@ -43,7 +43,7 @@ def test_a_pair_has_the_field_of_its_rotation() -> None:
         plain = pair.rotations * ([1.0, -1.0, -1.0] if is_mirrored else 1.0)
         angles.append(so3.log(so3.exp(phi) @ so3.exp(-plain))[0])
     assert abs(num_mirrored - 0.5 * COUNT) < 4.0 * np.sqrt(0.25 * COUNT)
-    assert np.abs(angles).max() < MOST_FURTHER_RAD + 1e-5
+    assert np.abs(angles).max() < MAX_FURTHER_RAD + 1e-5
     # Most turn about the vertical axis.
     assert np.argmax(np.std(angles, axis=0)) == 1
 
@@ -69,7 +69,7 @@ def test_a_view_is_turned_with_the_sun() -> None:
         num_mirrored += is_mirrored
         found.add(cells)
     assert abs(num_mirrored - 0.5 * COUNT) < 4.0 * np.sqrt(0.25 * COUNT)
-    assert found == set(range(-MOST_CELLS, MOST_CELLS + 1))
+    assert found == set(range(-MAX_CELLS, MAX_CELLS + 1))
 
 
 def test_a_mirrored_view_has_the_sun_on_the_other_side() -> None:
@@ -83,7 +83,7 @@ def test_a_mirrored_view_has_the_sun_on_the_other_side() -> None:
         turn = azimuth - sign * np.arctan2(0.6, 0.48)
         cells = np.tan(turn) * FOCAL_PX / CELL_PX
         assert abs(cells - round(cells)) < 1e-3
-        assert abs(cells) < MOST_CELLS + 0.5
+        assert abs(cells) < MAX_CELLS + 0.5
         assert directions[0, 1] == pytest.approx(-0.64, abs=1e-6)
 
 

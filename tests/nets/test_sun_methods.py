@@ -23,7 +23,7 @@ from probevo.nets.methods import Method  # noqa: E402
 from probevo.nets.network_file import write_network_file  # noqa: E402
 from probevo.nets.networks import Network  # noqa: E402
 from probevo.nets.sun_network import SPACE, SunNetwork, method_of, method_text  # noqa: E402
-from probevo.nets.sun_space import LEAST_SIGMA_RAD  # noqa: E402
+from probevo.nets.sun_space import MIN_SIGMA_RAD  # noqa: E402
 from probevo.nets.sun_views import CHANNELS, SunViews, image_statistics  # noqa: E402
 from probevo.nets.trained_network import first_facts, saliency, trunk_features  # noqa: E402
 from probevo.network_settings import MethodName, NetworkSettings  # noqa: E402
@@ -83,7 +83,7 @@ def test_the_covariance_of_two_estimates_is_positive_definite(name: str) -> None
     found = network.estimate(fields)
     assert network.method.num_estimates == 2
     np.linalg.cholesky(found.covariance)
-    least = SCALE * found.widening * LEAST_SIGMA_RAD**2
+    least = SCALE * found.widening * MIN_SIGMA_RAD**2
     assert (np.linalg.eigvalsh(found.covariance)[:, 0] > 0.999 * least).all()
     assert (np.linalg.eigvalsh(found.covariance)[:, 1] > 1.01 * least).any()
     np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1.0, atol=1e-6)
@@ -114,7 +114,7 @@ def test_the_spread_is_that_of_the_single_estimates(name: str) -> None:
     assert by_image.shape == (3, 2, 3)
     mean = SPACE.mean(by_image)
     errors = np.asarray(SPACE.difference(by_image, mean[:, None]), np.float64)
-    expected = errors.mT @ errors + LEAST_SIGMA_RAD**2 * np.eye(2)
+    expected = errors.mT @ errors + MIN_SIGMA_RAD**2 * np.eye(2)
     found = network.estimate(views.fields)
     np.testing.assert_allclose(found.directions, mean, atol=1e-5)
     factor = SCALE * found.widening[:, None, None]

@@ -9,7 +9,7 @@ import numpy as np
 from probevo.camera.stereo import StereoCamera
 from probevo.predictors.age import age
 from probevo.predictors.alignment import FLOOR_PX as ALIGNMENT_FLOOR_PX
-from probevo.predictors.alignment import MOST_PX, alignment
+from probevo.predictors.alignment import MAX_PX, alignment
 from probevo.predictors.disparity import FLOOR_PX, disparity
 from probevo.predictors.flow import flow
 from probevo.predictors.place import place
@@ -90,7 +90,7 @@ def test_alignment_is_finite_for_perfect_matches_and_for_none() -> None:
     cov_px2[1] = np.inf
     known = replace(TRACKS.subset(np.arange(50) < 2), alignment_cov_px2=cov_px2)
     least = math.log(ALIGNMENT_FLOOR_PX)
-    most = math.log(ALIGNMENT_FLOOR_PX + MOST_PX)
+    most = math.log(ALIGNMENT_FLOOR_PX + MAX_PX)
     np.testing.assert_allclose(
         alignment(known), [[least, least, 0.0, least], [most, most, 0.0, most]], rtol=1e-12
     )

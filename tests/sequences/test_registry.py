@@ -21,7 +21,7 @@ from probevo.sequences import (
     registry,
     sequence_formats,
 )
-from probevo.sequences.recordings_nearby import MOST_LOOKED_AT
+from probevo.sequences.recordings_nearby import MAX_LOOKED_AT
 from probevo.settings import Settings
 from sequences.damage import assert_refused
 from sequences.recordings import (
@@ -71,7 +71,7 @@ def test_far_below_and_among_thousands_of_files_nothing_is_searched_for(tmp_path
     deep = write_folder_sequence(tmp_path / "a" / "b" / "c" / "d")
     assert_refused(tmp_path, ["found a", "image_00 (kitti-raw)"])
     crowded = tmp_path / "a" / "b"
-    for k in range(MOST_LOOKED_AT):
+    for k in range(MAX_LOOKED_AT):
         (crowded / f"{k}.txt").touch()
     assert_refused(crowded, ["no known format"])
     assert_refused(deep.parent, [f"Did you mean {deep}?"])

@@ -13,9 +13,9 @@ from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.missing_data import Defect, MissingData
 from probevo.sequences.validation import (
-    LARGEST_FORCE_M_S2,
-    LARGEST_PIXEL_PX,
-    LARGEST_RATE_RAD_S,
+    MAX_FORCE_M_S2,
+    MAX_PIXEL_PX,
+    MAX_RATE_RAD_S,
     usable_imu,
     validated,
 )
@@ -167,7 +167,7 @@ def test_what_is_no_frame_is_refused(given: Any) -> None:
         assert live.num_refused == 1
 
 
-@pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300, -1e18, 1.001 * LARGEST_RATE_RAD_S])
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300, -1e18, 1.001 * MAX_RATE_RAD_S])
 def test_an_implausible_angular_rate_is_a_missing_sample(rate: float) -> None:
     imu = replace(samples(), gyro_rad_s=with_value(samples().gyro_rad_s, (3, 1), rate))
     found, missing = validated(frame(imu=imu), CAMERA, None)
@@ -180,7 +180,7 @@ def test_an_implausible_angular_rate_is_a_missing_sample(rate: float) -> None:
     np.testing.assert_array_equal(kept.stamps_ns, found.imu.stamps_ns)
 
 
-@pytest.mark.parametrize("force", [np.inf, 1e300, -1.001 * LARGEST_FORCE_M_S2])
+@pytest.mark.parametrize("force", [np.inf, 1e300, -1.001 * MAX_FORCE_M_S2])
 def test_an_implausible_force_is_not_recorded(force: float) -> None:
     imu = replace(samples(), accel_m_s2=with_value(samples().accel_m_s2, (3, 1), force))
     found, missing = validated(frame(imu=imu), CAMERA, None)
@@ -206,7 +206,7 @@ def test_one_implausible_rate_does_no_harm(rate: float) -> None:
 
 
 @pytest.mark.parametrize("column", range(4))
-@pytest.mark.parametrize("pixel", [np.nan, -np.inf, 1e200, -1e300, 1.001 * LARGEST_PIXEL_PX])
+@pytest.mark.parametrize("pixel", [np.nan, -np.inf, 1e200, -1e300, 1.001 * MAX_PIXEL_PX])
 def test_an_implausible_feature_is_left_out(column: int, pixel: float) -> None:
     """Before, all later steps were degenerate."""
     frames = drive(np.random.default_rng(0), 6)
@@ -230,7 +230,7 @@ def test_a_feature_just_within_the_bound_does_no_harm(column: int) -> None:
     for each in frames:
         assert each.features is not None
         if each.index == 2:
-            pixels = with_value(each.features.pixels, (7, column), LARGEST_PIXEL_PX)
+            pixels = with_value(each.features.pixels, (7, column), MAX_PIXEL_PX)
             each = replace(each, features=replace(each.features, pixels=pixels))
         assert odometry.step(each).status in (pv.Status.FIRST, pv.Status.OK)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probevo.storage.npz import NO_NPZ, read_npz
+from probevo.storage.npz import NO_NPZ, read_npz, write_npz
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", a=np.arange(3), b=np.eye(2))
+    write_npz(tmp_path / "a.npz", {"a": np.arange(3), "b": np.eye(2)})
     arrays = read_npz(tmp_path / "a.npz")
     assert arrays.keys() == {"a", "b"}
     np.testing.assert_array_equal(arrays["b"], np.eye(2))

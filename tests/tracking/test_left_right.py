@@ -9,7 +9,7 @@ import pytest
 from probevo import StereoOdometry, estimate_motion
 from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import (
-    FEWEST_MATCHES,
+    MIN_MATCHES,
     IdenticalImagesError,
     LeftRightCheck,
     SwappedImagesError,
@@ -37,8 +37,8 @@ def test_matches_are_counted_with_those_that_the_tracker_rejected() -> None:
 @pytest.mark.parametrize(
     ("num_positive", "num_negative", "swapped"),
     [
-        (0, FEWEST_MATCHES, True),
-        (0, FEWEST_MATCHES - 1, False),
+        (0, MIN_MATCHES, True),
+        (0, MIN_MATCHES - 1, False),
         (19, 81, True),
         (20, 80, False),
         (100, 3, False),

@@ -11,8 +11,8 @@ from probevo.sequences import Frame, open_sequence
 from probevo.sequences.frame import StereoFeatures
 from probevo.tracking.pair_timing import (
     EVERY_FRAMES,
-    FEWEST_VOTES,
-    MOST_COMPARISONS,
+    MAX_COMPARISONS,
+    MIN_VOTES,
     OFFSETS,
     PairTiming,
     row_scatter,
@@ -20,7 +20,7 @@ from probevo.tracking.pair_timing import (
 from probevo.tracking.preparation import prepare_images
 from strips import FRAME_NS, strip_pairs
 
-ENOUGH_FRAMES = len(OFFSETS) + EVERY_FRAMES * FEWEST_VOTES
+ENOUGH_FRAMES = len(OFFSETS) + EVERY_FRAMES * MIN_VOTES
 
 
 def frames_of(count: int, *, right_late: int = 0, px_per_disparity: float = 0.25) -> list[Frame]:
@@ -53,7 +53,7 @@ def test_nothing_is_decided_by_few_frames_or_at_rest() -> None:
 
 def test_a_camera_that_stays_at_rest_is_looked_at_for_a_while_only() -> None:
     frame = frames_of(1)[0]
-    timing = timing_of([frame] * (EVERY_FRAMES * (MOST_COMPARISONS + len(OFFSETS))))
+    timing = timing_of([frame] * (EVERY_FRAMES * (MAX_COMPARISONS + len(OFFSETS))))
     assert timing.is_decided
     assert timing.right_late_frames == 0
 

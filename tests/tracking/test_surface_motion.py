@@ -6,7 +6,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
-from probevo.tracking.surface_motion import LEAST_SCALED_DEPTH, move_surfaces
+from probevo.tracking.surface_motion import MIN_SCALED_DEPTH, move_surfaces
 
 CAMERA = StereoCamera(
     fu_px=700.0, fv_px=650.0, cu_px=600.0, cv_px=180.0, baseline_m=0.5, size_px=(1200, 360)
@@ -70,7 +70,7 @@ def test_a_surface_that_faces_the_camera_grows() -> None:
 
 def test_what_would_pass_the_camera_is_not_ahead() -> None:
     T = np.eye(4)
-    T[2, 3] = -12.0 * (1.0 - 0.5 * LEAST_SCALED_DEPTH)
+    T[2, 3] = -12.0 * (1.0 - 0.5 * MIN_SCALED_DEPTH)
     seen = observed(np.array([[CAMERA.cu_px, CAMERA.cv_px]]), PLANES["a wall ahead"])
     motion = move_surfaces(seen, np.zeros((1, 2)), T, CAMERA)
     assert not motion.ahead[0]

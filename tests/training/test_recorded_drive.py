@@ -7,7 +7,7 @@ import numpy as np
 import probevo as pv
 from probevo.noise import StudentT
 from probevo.predictors import prediction_space
-from probevo.training.drive import drive_bytes, joined, load_drive
+from probevo.training.drive import joined, load_drive, save_drive
 from probevo.training.extraction import Extraction
 from probevo_sim.point_world import write_points
 from training.supervised_drives import point_world
@@ -73,7 +73,7 @@ def test_a_drive_comes_back_from_disk_with_the_largest_of_identities(tmp_path: P
     np.savez(tmp_path / "drive.npz", **arrays)
     sequence = pv.open_sequence(tmp_path / "drive.npz")
     drive = joined(Extraction(sequence, SPACE, CONFIG, num_frames=len(sequence)))
-    (tmp_path / "part.npz").write_bytes(drive_bytes(drive))
+    save_drive(tmp_path / "part.npz", drive)
     read = load_drive(tmp_path / "part.npz")
     assert drive.ids.max() > 2**62
     for name in ("ids", "first_of_step", "numbers", "T_curr_prev", "used"):

@@ -8,7 +8,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.training.supervision import LEAST_ALPHA_M, Supervision, supervision_of
+from probevo.training.supervision import MIN_ALPHA_M, Supervision, supervision_of
 from training.supervised_drives import recording
 
 STEPS = 10
@@ -52,7 +52,7 @@ def test_exact_motions_have_no_error(kind: str, every_s: float) -> None:
     supervision = supervised(kind, every_s)
     alphas = supervision.errors(MOTIONS)
     assert alphas.shape == (len(supervision.stretches),)
-    np.testing.assert_array_equal(alphas, LEAST_ALPHA_M)
+    np.testing.assert_array_equal(alphas, MIN_ALPHA_M)
 
 
 @pytest.mark.parametrize("kind", ["gt", "sparse"])
@@ -61,7 +61,7 @@ def test_an_offset_shows_in_its_own_step(kind: str, step: int) -> None:
     """‖d‖/√3 (PROBE IV-A), and nothing in the steps before and after."""
     alphas = supervised(kind).errors(shifted(step, OFFSET_M))
     assert alphas[step] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
-    np.testing.assert_array_equal(np.delete(alphas, step), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(np.delete(alphas, step), MIN_ALPHA_M)
 
 
 @pytest.mark.parametrize(("step", "stretch"), [(0, 0), (2, 0), (3, 1), (7, 2)])
@@ -70,7 +70,7 @@ def test_an_offset_shows_at_the_end_of_its_stretch(step: int, stretch: int) -> N
     alphas = supervised("sparse", 0.3).errors(shifted(step, OFFSET_M))
     assert len(alphas) == 3
     assert alphas[stretch] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
-    np.testing.assert_array_equal(np.delete(alphas, stretch), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(np.delete(alphas, stretch), MIN_ALPHA_M)
 
 
 @pytest.mark.parametrize("step", [0, 5, 9])
@@ -157,7 +157,7 @@ def test_gaps_in_the_truth_restart_the_count() -> None:
     supervision = supervised("sparse", 0.0, truth)
     np.testing.assert_array_equal(supervision.frames, [2, 3, 7, 8, 9, 10])
     np.testing.assert_array_equal(supervision.stretches, [[2, 3], [3, 7], [7, 8], [8, 9], [9, 10]])
-    np.testing.assert_array_equal(supervision.errors(MOTIONS), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(supervision.errors(MOTIONS), MIN_ALPHA_M)
     np.testing.assert_array_equal(
         supervision.stretch_of_step(STEPS), [-1, -1, 0, 1, 1, 1, 1, 2, 3, 4]
     )
@@ -203,7 +203,7 @@ def test_a_loop_cut_short_does_not_close() -> None:
 def test_without_any_supervision_the_motions_of_all_features_are_the_truth() -> None:
     completed = supervised("none", truth=None).completed(MOTIONS)
     wrong = random_motions(9)
-    np.testing.assert_array_equal(completed.errors(MOTIONS), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(completed.errors(MOTIONS), MIN_ALPHA_M)
     np.testing.assert_allclose(completed.errors(wrong), supervised("gt").errors(wrong))
     assert supervised("gt").completed(wrong).T_world_cam is not None
     np.testing.assert_array_equal(supervised("gt").completed(wrong).T_world_cam, TRUTH)
@@ -228,7 +228,7 @@ def test_predicted_errors_are_those_of_random_motions(every_s: float) -> None:
 
 def test_motions_that_are_certain_have_the_least_error() -> None:
     np.testing.assert_array_equal(
-        supervised("gt").predicted_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M
+        supervised("gt").predicted_errors(MOTIONS, np.zeros((STEPS, 6, 6))), MIN_ALPHA_M
     )
 
 

@@ -202,10 +202,10 @@ def test_parts_are_no_larger_than_they_may_be(
 ) -> None:
     """Neither in steps nor in bytes; joined, they are the drive, however it was cut."""
     (whole,) = extracted(tracks[0])
-    monkeypatch.setattr(extraction, "MOST_STEPS", 4)
+    monkeypatch.setattr(extraction, "MAX_STEPS", 4)
     parts = extracted(tracks[0])
     assert [len(part.T_curr_prev) for part in parts] == [4, 4, 4, 3]
-    monkeypatch.setattr(extraction, "MOST_BYTES", 8_000)
+    monkeypatch.setattr(extraction, "MAX_BYTES", 8_000)
     smaller = extracted(tracks[0])
     assert len(smaller) > 4
     for cut in (parts, smaller):
@@ -217,7 +217,7 @@ def test_what_is_written_takes_as_much_as_was_reckoned(
     tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But for the headers of the arrays, 2 kB."""
-    monkeypatch.setattr(extraction, "MOST_BYTES", 20_000)
+    monkeypatch.setattr(extraction, "MAX_BYTES", 20_000)
     drive = DriveOnDisk(tmp_path, 3, pv.open_sequence(tracks[0]).camera)
     drive.keep_drive(extracted(tracks[0]), str, 2)
     sizes = [path.stat().st_size for path in tmp_path.glob("drive-3-*.npz")]
@@ -270,7 +270,7 @@ def test_of_more_features_than_a_model_takes_some_are_drawn(
     tracks: list[Path], static_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The draw does not depend on the workers, and leaves some features out."""
-    monkeypatch.setattr(error_samples, "MOST_FEATURES", 1000)
+    monkeypatch.setattr(error_samples, "MAX_FEATURES", 1000)
     one, two = (
         pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
         for workers in (Workers(), TWO)
@@ -295,7 +295,7 @@ def test_of_many_drives_some_steps_are_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The draw depends neither on workers nor on parts; a short drive may lose all its steps."""
-    monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
+    monkeypatch.setattr(thinning, "MAX_FEATURES", 500)
     monkeypatch.setattr(thinning, "STRETCH", 3)
     world = point_world(frames=60, landmarks=400)
     drive = drive_of(world)

@@ -71,7 +71,7 @@ def test_results_come_in_the_order_of_the_tasks(
     workers: Workers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where a cluster does not get all at a time."""
-    monkeypatch.setattr(workers_module, "MOST_SUBMITTED", 3)
+    monkeypatch.setattr(workers_module, "MAX_SUBMITTED", 3)
     assert mapped(workers) == [number**2 for number in range(7)]
 
 
@@ -138,7 +138,7 @@ def test_a_task_that_kills_every_worker_is_given_up_and_named(
 
     Should a cluster fail to restart its workers, as under load, the test ends with that error soon.
     """
-    monkeypatch.setattr(workers_module, "MOST_LOSSES", 1)
+    monkeypatch.setattr(workers_module, "MAX_LOSSES", 1)
     monkeypatch.setattr(workers_module, "NO_WORKER_S", 20.0)
     done: list[int] = []
     with pytest.raises(InputError) as caught:

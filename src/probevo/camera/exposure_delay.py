@@ -37,8 +37,8 @@ USUAL_DELAY_S = 0.001
 """Apparent delay that rectification errors can cause: up to 0.4 ms on KITTI, whose cameras are
 triggered together."""
 ITERATIONS = 4
-LEAST_SHARE = 0.1
-"""Least depth of a point at the time of the right image, as a share of that before, and least
+MIN_SHARE = 0.1
+"""Smallest depth of a point at the time of the right image, as a share of that before, and least
 distance of the cameras, by which depth is known, as a share of the baseline."""
 DELAY = 7
 """Index of τ among the coefficients; before it are a₀ … a₆."""
@@ -203,7 +203,7 @@ def _fill_right_velocity(
         rate_y = wz * x - wx + vy * inverse_depth
         rate_z = wx * y - wy * x + vz * inverse_depth
         # Differences of u_r = f_u (p_x − b)/p_z + c_u and v_r = f_v p_y/p_z + c_v over τ
-        share = max(1.0 + delay_s * rate_z, LEAST_SHARE)
+        share = max(1.0 + delay_s * rate_z, MIN_SHARE)
         velocity[k, 0] = fu * (rate_x - x_right * rate_z) / share
         velocity[k, 1] = fv * (rate_y - y * rate_z) / share
 
@@ -234,13 +234,13 @@ def _remove_delay(
         turned_y = wz * x - wx
         turned_z = wx * y - wy * x
         apart_m = baseline_m + delay_s * (x_later * vz - vx)
-        if apart_m < LEAST_SHARE * baseline_m:
+        if apart_m < MIN_SHARE * baseline_m:
             continue
         inverse_depth = x + delay_s * turned_x - x_later * (1.0 + delay_s * turned_z)
         inverse_depth /= apart_m
         rate_z = turned_z + inverse_depth * vz
         share = 1.0 + delay_s * rate_z
-        if share < LEAST_SHARE:
+        if share < MIN_SHARE:
             continue
         rate_y = turned_y + inverse_depth * vy
         pixels[k, 2] = pixels[k, 0] - fb * inverse_depth

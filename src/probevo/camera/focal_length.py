@@ -34,14 +34,14 @@ FOCAL = 2
 CORRELATED = 20.0
 """Number of features that count as one, as in the rig's calibration."""
 NOTICEABLE = 0.01
-"""Least |ε| that is reported: path length and rotations are off by about this ratio."""
-LARGEST_BY_LENSES = 0.04
+"""Smallest |ε| that is reported: path length and rotations are off by about this ratio."""
+MAX_BY_LENSES = 0.04
 """|ε| that remaining lens distortion can cause: up to 0.035 on KITTI, whose focal length is right
 within a percent according to the true rotations."""
-LEAST_RATIO = 3.0
-"""Least |ε| in units of σ that is reported."""
+MIN_RATIO = 3.0
+"""Smallest |ε| in units of σ that is reported."""
 FIRST_BLOCK_FRAMES = 5
-MOST_BLOCKS = 32
+MAX_BLOCKS = 32
 """Largest number of blocks. Then pairs of blocks are merged, and further blocks have twice as many
 frames, so that memory stays constant."""
 
@@ -88,7 +88,7 @@ class FocalLengthEstimate:
                 self, information=informations, moment=moments, last_frames=self.last_frames + 1
             )
         # Begin a block; if there is no room for it, merge the others in pairs first.
-        full = self._with_half_as_many_blocks() if len(self.moment) == MOST_BLOCKS else self
+        full = self._with_half_as_many_blocks() if len(self.moment) == MAX_BLOCKS else self
         return FocalLengthEstimate(
             information=np.concatenate([full.information, information[None]]),
             moment=np.concatenate([full.moment, moment[None]]),
@@ -152,9 +152,9 @@ class FocalLengthError:
     @property
     def is_noticeable(self) -> bool:
         """Whether the images contradict the calibrated focal length significantly."""
-        return abs(self.log_ratio) > max(NOTICEABLE, LEAST_RATIO * self.sigma)
+        return abs(self.log_ratio) > max(NOTICEABLE, MIN_RATIO * self.sigma)
 
     @property
     def exceeds_lenses(self) -> bool:
         """Whether the contradiction is larger than remaining lens distortion can cause."""
-        return self.is_noticeable and abs(self.log_ratio) > LARGEST_BY_LENSES
+        return self.is_noticeable and abs(self.log_ratio) > MAX_BY_LENSES

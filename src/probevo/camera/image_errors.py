@@ -33,7 +33,7 @@ DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 INITIAL_SIGMA_PX = 0.2
 """τ before anything is seen: the field is then 0.2 px rms over the image, about as much as
 calibrations leave."""
-LARGEST_SIGMA_PX = 0.5
+MAX_SIGMA_PX = 0.5
 """Largest τ. Lenses that are further off have to be calibrated. Where features move by themselves,
 as on a lorry that fills the road, a field of many pixels could explain that."""
 FOCAL_SIGMA = 0.005
@@ -176,7 +176,7 @@ class ImageErrors:
             seen=seen,
             moment=moment,
             with_radial=self.with_radial + step.with_radial,
-            distortion_sigma_px=min(math.sqrt(mean_square), LARGEST_SIGMA_PX),
+            distortion_sigma_px=min(math.sqrt(mean_square), MAX_SIGMA_PX),
             with_focal=self.with_focal + step.with_focal,
             focal_seen=self.focal_seen + step.focal_information,
             focal_moment=(

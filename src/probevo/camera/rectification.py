@@ -17,7 +17,7 @@ from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
 UPSIDE_DOWN_DEG = 135.0
-"""Roll between the cameras from which on half a turn of an image leaves less of it than a quarter
+"""Roll between the cameras above which half a turn of an image leaves less of it than a quarter
 does."""
 _PixelMaps = tuple[AnyArray, AnyArray]
 """For each rectified pixel its place in the raw image, in OpenCV's fixed-point form."""

@@ -38,11 +38,11 @@ LARGER = 1.5
 LEARNED_FRAMES = 10.0
 """Number of frames that a covariance learned with a noise model counts for: the rig may have been
 remounted since."""
-MOST_FRAMES = 300.0
+MAX_FRAMES = 300.0
 """Largest number of frames that count: mounts warm up and roads change, so old frames are
 forgotten."""
-LEAST_SIGMA_RAD = 1e-6
-"""Least standard deviation of an angle, so that S can be inverted: a thousandth of a pixel."""
+MIN_SIGMA_RAD = 1e-6
+"""Smallest standard deviation of an angle, so that S can be inverted: a thousandth of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,10 @@ class RigJitter:
         """
         # S ← (1 − n^−0.7) S + n^−0.7 · ½ E[…]: the change has the covariance 2 S, hence the ½. The
         # last line keeps S symmetric and invertible.
-        frames = min(self.frames + novelty, MOST_FRAMES)
+        frames = min(self.frames + novelty, MAX_FRAMES)
         share = novelty * frames**-EM_STEP_EXPONENT
         cov = self.cov + share * (0.5 * second_moment - self.cov)
-        cov = 0.5 * (cov + cov.T) + share * LEAST_SIGMA_RAD**2 * np.eye(3)
+        cov = 0.5 * (cov + cov.T) + share * MIN_SIGMA_RAD**2 * np.eye(3)
         return replace(self, cov=cov, frames=frames)
 
 

@@ -171,7 +171,7 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         size_px=camera.size_px,
         where=where,
     )
-    if not abs(camera.baseline_m) <= LARGEST_M:
+    if not abs(camera.baseline_m) <= MAX_M:
         raise InputError(
             where, f"baseline_m is {brief(camera.baseline_m)}.", "It must be a finite number."
         )
@@ -188,12 +188,12 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         )
 
 
-LARGEST_M = 1e9
+MAX_M = 1e9
 """Largest baseline."""
-LARGEST_PX = 1e9
+MAX_PX = 1e9
 """Largest focal length and coordinate of a principal point; much larger ones would overflow."""
 
-MOST_FOCAL_LENGTHS = 100.0
+MAX_FOCAL_LENGTHS = 100.0
 """Largest distance of the principal point from the first pixel, which is so seen at 89.4° from the
 optical axis; rectified images of the widest lenses reach a tenth of it."""
 
@@ -215,25 +215,25 @@ def check_intrinsics(
             from the first pixel.
     """
     for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
-        if not abs(value) <= LARGEST_PX:
+        if not abs(value) <= MAX_PX:
             what = f"{name} is {brief(value)}."
-            raise InputError(where, what, f"It must be a finite number, at most {LARGEST_PX:g} px.")
+            raise InputError(where, what, f"It must be a finite number, at most {MAX_PX:g} px.")
     for name, focal_px in {"fu_px": fu_px, "fv_px": fv_px}.items():
         if focal_px <= 0:
             raise InputError(where, f"{name} is {focal_px:g} px.", "A focal length is positive.")
     for name, center_px, focal_px in (("cu_px", cu_px, fu_px), ("cv_px", cv_px, fv_px)):
-        if abs(center_px) > MOST_FOCAL_LENGTHS * focal_px:
+        if abs(center_px) > MAX_FOCAL_LENGTHS * focal_px:
             raise InputError(
                 where,
                 f"{name} is {center_px:g} px, with a focal length of {focal_px:g} px.",
-                f"The principal point is at most {MOST_FOCAL_LENGTHS:g} focal lengths from the"
+                f"The principal point is at most {MAX_FOCAL_LENGTHS:g} focal lengths from the"
                 " first pixel.",
             )
     if size_px is None:
         return
-    if max(size_px) > LARGEST_PX:
+    if max(size_px) > MAX_PX:
         what = f"size_px is {brief(tuple(size_px))}."
-        raise InputError(where, what, f"An image has at most {LARGEST_PX:g} columns and rows.")
+        raise InputError(where, what, f"An image has at most {MAX_PX:g} columns and rows.")
     size = f"{size_px[0]} × {size_px[1]}"
     if min(size_px) <= 0:
         raise InputError(where, f"size_px is {size}.", "It is (width, height), both positive.")

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from probevo.odometry import StereoOdometry
     from probevo.sequences import Sequence
 
-MOST_FRAMES = 300
-FEWEST_FRAMES = 12
+MAX_FRAMES = 300
+MIN_FRAMES = 12
 NOTICEABLE_PX = 0.05
 """What the lenses' distortion has to leave to be mentioned."""
 FALSE_ALARMS = 0.01
@@ -45,7 +45,7 @@ class CalibrateCheckArguments:
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, a bag, or a tracks file (.npz)."""
-    max_frames: int = MOST_FRAMES
+    max_frames: int = MAX_FRAMES
     """Frames that are looked at, from the start."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Picture of the errors to write, .png, .svg or .pdf: rows and lens distortion over the image,
@@ -57,9 +57,9 @@ def main(words: list[str]) -> None:
     """Parse the arguments, open the recording, and print what it says of its calibration."""
     arguments = parse(CalibrateCheckArguments, words, "calibrate-check")
     settings = checked(arguments.settings)
-    if arguments.max_frames < FEWEST_FRAMES:
+    if arguments.max_frames < MIN_FRAMES:
         what = f"is {arguments.max_frames}."
-        raise InputError("--max-frames", what, f"It must be at least {FEWEST_FRAMES}.")
+        raise InputError("--max-frames", what, f"It must be at least {MIN_FRAMES}.")
     if arguments.out is not None:
         from probevo.output.calibration_picture import check_picture_path
 
@@ -125,7 +125,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
     if sequence.truth is not None:
         known = sequence.truth.T_world_cam[: len(seen.T_world_cam)]
         found = scale_quantity(seen.T_world_cam, known)
-        quantities += [found] if found else []
+        if found is not None:
+            quantities.append(found)
     stream = getattr(sequence, "imu_stream", None)
     if sequence.imu is None or stream is None:
         notes.append("IMU: none whose samples are read at their own rate.")
@@ -144,7 +145,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             T_cam_imu=T_cam_imu,
             bias_sigma_m_s2=sequence.imu.accel_bias_sigma_m_s2,
         )
-        quantities += [gravity] if gravity else []
+        if gravity is not None:
+            quantities.append(gravity)
         scale = accelerometer_scale(
             sequence.stamps_ns[:num_frames],
             seen.T_world_cam,
@@ -152,7 +154,8 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             stream=stream,
             calibration=sequence.imu,
         )
-        quantities += [accelerometer_scale_quantity(scale)] if scale else []
+        if scale is not None:
+            quantities.append(accelerometer_scale_quantity(scale))
         if not gyro:
             notes.append("IMU: its samples cover too few solved steps.")
         elif any(_is_marked(quantity, len(quantities)) for quantity in gyro[:3]):
@@ -262,10 +265,10 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
             steps.append(_Step(raw, used, ids, rotation_rad=rotation_rad, between_ns=between_ns))
         prev_ns = frame.stamp_ns
     rows = _row_samples(steps, camera)
-    if len(motions) < FEWEST_FRAMES:
-        what = f"it has {len(motions)} frames; {FEWEST_FRAMES} at least are needed."
+    if len(motions) < MIN_FRAMES:
+        what = f"it has {len(motions)} frames; {MIN_FRAMES} at least are needed."
         raise InputError(sequence.path, what, "Give a longer recording of the same rig.")
-    if len(rows) < FEWEST_FRAMES - 2:
+    if len(rows) < MIN_FRAMES - 2:
         what = f"only {len(steps)} of its first {len(motions)} frames have a motion that is solved."
         cure = "`probevo info` says whether the images are rectified, sharp and textured."
         raise InputError(sequence.path, what, cure)

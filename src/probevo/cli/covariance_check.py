@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9, 0.99)
 """Regions whose coverage is printed."""
 SURE = 3.0
-"""Standard errors from which on a mean differs from 1 by more than chance."""
-LARGEST_MARGIN = 0.5
+"""Standard errors beyond which a mean differs from 1 by more than chance."""
+MAX_MARGIN = 0.5
 """What chance may add to a mean, beyond which one that does not differ from 1 says nothing."""
 LIMITS = (
     "What both halves have in common does not show: a wrong baseline or focal length, what moves"
@@ -109,7 +109,7 @@ def verdict(agreement: Agreement) -> str:
             f"Over {span}: the halves differ by {factor:.2f} of the σ that is claimed. The rest"
             " covers errors that both have in common, or is conservative."
         )
-    if margin > LARGEST_MARGIN:
+    if margin > MAX_MARGIN:
         return (
             f"Over {span}: too few motions to tell. If the claim holds, chance moves NEES / 6 by up"
             f" to {margin:.1f}. Give a longer recording."

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from probevo.fetch.catalogue import Dataset
     from probevo.fetch.fetching import OnProgress, Result
 
-MOST_SHOWN = 5
+MAX_SHOWN = 5
 """Recordings that are named at the end."""
 
 
@@ -81,8 +81,8 @@ def _table() -> str:
     lines = []
     for family in FAMILIES:
         lines.append(family.names)
-        shown = ", ".join(family.examples[:MOST_SHOWN])
-        more = ", …" if len(family.examples) > MOST_SHOWN else ""
+        shown = ", ".join(family.examples[:MAX_SHOWN])
+        more = ", …" if len(family.examples) > MAX_SHOWN else ""
         lines.append(f"    names      {shown}{more}")
         lines.append(f"    size       {family.size}")
         lines.append(f"    licence    {family.licence}")
@@ -155,6 +155,7 @@ def _summary(result: Result) -> str:
             lines.append(f"{file.path.name}: no checksum to compare; SHA-256 {file.sha256}")
     count = len(result.recordings)
     lines.append(f"{count} recording{'s' * (count != 1)} in {result.folder}")
-    lines += [f"    probevo info {path}" for path in result.recordings[:MOST_SHOWN]]
-    lines += ["    …"] if count > MOST_SHOWN else []
+    lines += [f"    probevo info {path}" for path in result.recordings[:MAX_SHOWN]]
+    if count > MAX_SHOWN:
+        lines.append("    …")
     return "\n".join(lines)

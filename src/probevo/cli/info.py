@@ -28,7 +28,7 @@ USUAL_RATE_HZ = (0.5, 500.0)
 """Usual rate of frames, from time lapse to high speed."""
 USUAL_DEPTH_M = (0.2, 300.0)
 """Usual median distance of what a stereo camera sees."""
-FEWEST_TRACKS = 20
+MIN_TRACKS = 20
 """Fewer tracks per frame leave the motion uncertain, or none; images that are not rectified have
 few, since matches are searched along a row."""
 MAX_OFF_CENTER = 0.1
@@ -303,7 +303,7 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
     """Warn of cameras whose exposures differ, by the contrast of the first images."""
     import numpy as np
 
-    from probevo.tracking.contrast import LEAST_GAIN_IN_STEREO, symmetric_gain
+    from probevo.tracking.contrast import MIN_GAIN_IN_STEREO, symmetric_gain
     from probevo.tracking.left_right import FRAMES_TO_SEE
     from probevo.tracking.preparation import right_contrast
 
@@ -314,7 +314,7 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
         if frame.left is not None and frame.right is not None
     ]
     ratio = float(np.median(ratios)) if ratios else np.nan
-    if not symmetric_gain(ratio) > LEAST_GAIN_IN_STEREO:
+    if not symmetric_gain(ratio) > MIN_GAIN_IN_STEREO:
         return []
     text = (
         f"right images have {ratio:.2g} times the contrast of left ones. It is adapted, but what is"
@@ -325,7 +325,7 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
 
 def _mosaic_warnings(sequence: Sequence) -> Rows:
     """Warn of raw images of colour cameras."""
-    from probevo.tracking.color_mosaic import LEAST_DIFFERENCE, difference_of_places
+    from probevo.tracking.color_mosaic import MIN_DIFFERENCE, difference_of_places
     from probevo.tracking.left_right import FRAMES_TO_SEE
 
     differences = [
@@ -335,7 +335,7 @@ def _mosaic_warnings(sequence: Sequence) -> Rows:
     ]
     # A mosaic is in every image; in a single one, a pattern of the scene may look like it.
     difference = min(differences, default=0.0)
-    if difference < LEAST_DIFFERENCE:
+    if difference < MIN_DIFFERENCE:
         return []
     text = (
         f"pixels of even and odd rows and columns differ by {100.0 * difference:.0f} % in the mean."
@@ -414,7 +414,7 @@ def examine(sequence: Sequence) -> Rows:
         f"{num_per_frame:.0f} tracks per frame in the first {len(frames)};"
         " left and right are not swapped"
     )
-    is_few = has_images and num_per_frame < FEWEST_TRACKS
+    is_few = has_images and num_per_frame < MIN_TRACKS
     if is_few:
         matches += f". These are few. {ask_if_poor}"
     is_near_or_far = not USUAL_DEPTH_M[0] <= depth_m <= USUAL_DEPTH_M[1]

@@ -159,7 +159,9 @@ def _stopped_by_signals() -> Iterator[None]:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     _received.append(number)
-    raise KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name]))
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 def _stop_code() -> int:

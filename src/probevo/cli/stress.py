@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from probevo.sequences import Sequence
     from probevo_sim.spoiling.stress import Stress
 
-MOST_FRAMES = 200
+MAX_FRAMES = 200
 """Frames that are looked at by default."""
 
 
@@ -68,7 +68,7 @@ def main(words: list[str]) -> None:
         what = f"has {len(sequence)} frames; two motions are the least to compare."
         raise InputError(sequence.path, what, "Take a longer recording.")
     config = run_config(settings, sequence.path.resolve(), portable(arguments.noise))
-    config = config.model_copy(update={"max_frames": config.max_frames or MOST_FRAMES})
+    config = config.model_copy(update={"max_frames": config.max_frames or MAX_FRAMES})
     if not config.imu:
         sequence = WithoutImu.of(sequence)
     check_run(sequence, config, noise_model(config.noise))

@@ -18,7 +18,7 @@ still in between."""
 PRIOR_S = 1.0
 """Time of motion that the settings count for."""
 
-LARGEST_FACTOR = 10.0
+MAX_FACTOR = 10.0
 """With the default settings, 50 m/s² and 20 rad/s², more than any rig is shaken by. Without a
 bound, a wrong stamp would look like any acceleration."""
 
@@ -58,7 +58,7 @@ class AccelerationScale:
         """
         # The square of what is measured is that of the change plus the variance of its noise.
         squares = (twist_change**2 - change_variance) / (accelerations * duration_s) ** 2
-        shown = np.clip(squares.reshape(2, 3).mean(axis=1), -(LARGEST_FACTOR**2), LARGEST_FACTOR**2)
+        shown = np.clip(squares.reshape(2, 3).mean(axis=1), -(MAX_FACTOR**2), MAX_FACTOR**2)
         kept_s = self.weight_s * np.exp(-duration_s / MEMORY_S)
         weight_s = kept_s + duration_s
         mean_square = (kept_s * np.array(self.mean_square) + duration_s * shown) / weight_s

@@ -18,14 +18,14 @@ from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3, so3
 
 _FIRST_DAMPING = 1e-4
-_LEAST_DAMPING = 1e-9
+_MIN_DAMPING = 1e-9
 """Levenberg–Marquardt's damping, relative to the diagonal of the information: the first one, and
 the least that it falls to."""
 _CONVERGED_BELOW = 1e-9
 """Length of a step ξ, m and rad together, at which it has converged."""
-_LEAST_INFORMATION = 1e-12
-"""Least information along unobservable directions, relative to the observable ones: it keeps their
-covariance finite, but huge."""
+_MIN_INFORMATION = 1e-12
+"""Smallest information along unobservable directions, relative to the observable ones: it keeps
+their covariance finite, but huge."""
 
 
 class Alignment(NamedTuple):
@@ -86,7 +86,7 @@ def solve_alignment(
         # Compare both costs under the same Γ, which depends on T.
         if pairs.cost(T_next, Gamma) <= pairs.cost(T, Gamma):
             T = T_next
-            damping = max(0.1 * damping, _LEAST_DAMPING)
+            damping = max(0.1 * damping, _MIN_DAMPING)
             Gamma = pairs.weights(T)
         else:
             damping *= 10.0
@@ -151,8 +151,8 @@ def _inverse(information: FloatArray) -> FloatArray:
     """Return the inverse of a positive semi-definite [6, 6] matrix, its eigenvalues bounded below
     once its diagonal is one."""
     # With a diagonal of one, eigenvalues of m and of rad can be compared.
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _LEAST_INFORMATION))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _MIN_INFORMATION))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    half = scale[:, None] * vectors / np.sqrt(np.maximum(values, _LEAST_INFORMATION))
+    half = scale[:, None] * vectors / np.sqrt(np.maximum(values, _MIN_INFORMATION))
     inverse: FloatArray = half @ half.T
     return inverse

@@ -65,7 +65,7 @@ RANDOM_WALK = 0.02
 KITTI: half as much costs 0.03 nats a feature, three times as much 0.04, and an additional decay
 towards zero 0.01."""
 LEAST_DISPARITY_PX = 0.1
-"""Least disparity for which the ratio of two disparities is meaningful."""
+"""Smallest disparity for which the ratio of two disparities is meaningful."""
 _CHOSEN = 1.0
 """Eigenvalue, negated, that sorts the directions of the jitter before all others, whose eigenvalues
 are not negative."""

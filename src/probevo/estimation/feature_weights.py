@@ -14,11 +14,11 @@ REFERENCE_DOF = 5.0
 """Degrees of freedom to which all weights are converted."""
 INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
-LEAST_TAIL = 0.001
+MIN_TAIL = 0.001
 """Tail probability of a residual below which the track does not agree with the motion."""
 GAUSSIAN_FROM = 1e6
 """Degrees of freedom from which a Student-t is a Gaussian."""
-LEAST_DOF = 0.1
+MIN_DOF = 0.1
 """Where the table of medians begins; learned models have 1 and more."""
 BISECTIONS = 50
 """Number of bisections of [0, 1] that reach 10⁻¹⁵."""
@@ -49,7 +49,7 @@ def agree_with_noise(squared: FloatArray, dof: FloatArray, factor: float = 1.0) 
         dof: degrees of freedom of each, [N].
         factor: by which the variances of the noise are multiplied.
     """
-    explained = tail_probability_of(squared / factor, dof) > LEAST_TAIL
+    explained = tail_probability_of(squared / factor, dof) > MIN_TAIL
     agree: BoolArray = (squared < BEHIND) & explained
     return agree
 
@@ -124,5 +124,5 @@ def _median_squared(dof: FloatArray) -> FloatArray:
     return median
 
 
-_LOG_DOF = np.linspace(np.log(LEAST_DOF), np.log(GAUSSIAN_FROM), 1001)
+_LOG_DOF = np.linspace(np.log(MIN_DOF), np.log(GAUSSIAN_FROM), 1001)
 _LOG_MEDIANS = np.log(_median_squared(np.exp(_LOG_DOF)))

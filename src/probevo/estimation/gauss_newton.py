@@ -30,7 +30,7 @@ features agree with their noise, reweighted least squares creeps, and it may tak
 FIRST_DAMPING = 1e-6
 """Share of the Hessian's diagonal that is first added to it."""
 RETRY_DAMPING = 1e-3
-"""Least damping after a step that has raised the cost."""
+"""Smallest damping after a step that has raised the cost."""
 NEWTON_BELOW = 1e-3
 """Damping below which, after two accepted steps, the solve is close enough for Newton's Hessian."""
 

@@ -19,7 +19,7 @@ NUM_FEATURES = 500
 USUAL_WIDTH_PX = 640
 """Wider images are reduced to about this width, by a whole factor: half a degree is precise enough
 for a start."""
-SMALLEST_PX = 64
+MIN_PX = 64
 """Height and width below which an image has no descriptors: a window of one is 31 px wide."""
 NUM_SAMPLES = 200
 """Pairs of matches that are tried: enough to find one of two right ones, with all but certainty, if
@@ -27,7 +27,7 @@ a fifth of them are right."""
 NEAR_RAD = 0.06
 """Matches that a rotation explains to within this agree with it. They need not lie at infinity: a
 point at 3 m moves by so much when the camera moves by 0.2 m."""
-FEWEST_AGREEING = 12
+MIN_AGREEING = 12
 """Matches that have to agree. Wrong ones lie anywhere, of which a percent are near by chance."""
 
 
@@ -42,7 +42,7 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
     reduction = max(1, round(image.shape[1] / USUAL_WIDTH_PX))
     prev_image = _reduced(prev_image, reduction)
     image = _reduced(image, reduction)
-    if min(image.shape) < SMALLEST_PX:
+    if min(image.shape) < MIN_PX:
         return None
     orb = cv2.ORB.create(nfeatures=NUM_FEATURES)
     prev_found, prev_descriptors = orb.detectAndCompute(prev_image, None)
@@ -50,7 +50,7 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
     if prev_descriptors is None or descriptors is None:
         return None
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(prev_descriptors, descriptors)
-    if len(matches) < FEWEST_AGREEING:
+    if len(matches) < MIN_AGREEING:
         return None
     prev_px = np.array([prev_found[match.queryIdx].pt for match in matches])
     curr_px = np.array([found[match.trainIdx].pt for match in matches])
@@ -59,7 +59,7 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
     prev_rays = camera.unit_rays(reduction * prev_px + to_middle_px)
     curr_rays = camera.unit_rays(reduction * curr_px + to_middle_px)
     agreeing = _best_sample(prev_rays, curr_rays)
-    if int(agreeing.sum()) < FEWEST_AGREEING:
+    if int(agreeing.sum()) < MIN_AGREEING:
         return None
     rotation: FloatArray = _rotation_between(prev_rays[agreeing][None], curr_rays[agreeing][None])[
         0

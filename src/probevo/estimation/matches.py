@@ -28,9 +28,9 @@ from probevo.tracking.left_right import check_features
 from probevo.tracking.tracks import Tracks
 
 MIN_MATCHES = 3
-"""Least number of points that determine a motion."""
-SMALLEST_VARIANCE_PX2 = 1e-12
-MOST_SOLVES = 4
+"""Minimum number of points that determine a motion."""
+MIN_VARIANCE_PX2 = 1e-12
+MAX_SOLVES = 4
 """Solves, after each of which all matches are tested again."""
 THRESHOLD_SIGMAS = 4.0
 """Threshold of RANSAC in standard deviations of a usual residual: hardly an inlier is beyond."""
@@ -99,7 +99,7 @@ def estimate_motion(
     # covariance would be too small.
     agreeing = consensus.inliers
     T_curr_prev = consensus.T_curr_prev
-    for _ in range(MOST_SOLVES):
+    for _ in range(MAX_SOLVES):
         used = agreeing
         if used.sum() < MIN_MATCHES:
             return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
@@ -123,7 +123,7 @@ def estimate_motion(
 
 def _threshold_px(noise: StereoNoise) -> float:
     """Return the threshold of RANSAC for matches of this noise, at least that of the odometry."""
-    # A residual has the noise of both observations, of which each coordinate has its own.
+    # A residual has the noise of both observations; each coordinate has its own.
     both = 2.0 if noise.refers_to == "observation" else 1.0
     largest_px2 = both * np.diagonal(noise.scale, axis1=1, axis2=2).max(axis=1)
     usual_px = float(np.sqrt(np.median(largest_px2)))
@@ -162,7 +162,7 @@ def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
     """Return the noise of the matches.
 
     Raises:
-        InputError: it is none, or does not fit the matches.
+        InputError: it is no noise, or does not fit the matches.
     """
     if isinstance(noise, StereoNoise):
         if len(noise.dof) != count:
@@ -190,7 +190,7 @@ def _gaussian(noise: object, count: int) -> StereoNoise:
     if not np.allclose(cov, cov.swapaxes(-1, -2), rtol=1e-6, atol=0.0):
         raise InputError("noise", "a covariance is not symmetric.")
     smallest = float(np.linalg.eigvalsh(cov).min(initial=np.inf))
-    if smallest < SMALLEST_VARIANCE_PX2:
+    if smallest < MIN_VARIANCE_PX2:
         what = f"a covariance has the variance {brief(smallest)} px² in a direction."
         raise InputError("noise", what, "It must be positive definite, in px².")
     scale = np.array(np.broadcast_to(cov, (count, 4, 4)))

@@ -17,8 +17,8 @@ from probevo.measurements.sensor import Reading
 from probevo.measurements.sensor_suite import SensorSuite
 from probevo.sequences.frame import Frame
 
-LEAST_WEIGHT = 0.01
-"""Least weight of a feature; it bounds the inflation of an outlier's variance in a window."""
+MIN_WEIGHT = 0.01
+"""Smallest weight of a feature; it bounds the inflation of an outlier's variance in a window."""
 
 
 def with_correction(
@@ -83,7 +83,7 @@ class Shares(NamedTuple):
         Under the inflated covariance, the robust loss of the window would accept outliers. Their
         covariance is therefore inflated by their small weight as well.
         """
-        return 1.0 + (self.features - 1.0) / np.maximum(weights, LEAST_WEIGHT)
+        return 1.0 + (self.features - 1.0) / np.maximum(weights, MIN_WEIGHT)
 
 
 def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int) -> Shares:

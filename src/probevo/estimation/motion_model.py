@@ -19,16 +19,16 @@ INNOVATION_GATE = 60.0
 """Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
 rejected: about 7σ."""
 
-LARGEST_STAMP_SHARE = 0.05
+MAX_STAMP_SHARE = 0.05
 """Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
 admits motions that are half too long or too short; 5 ms at 30 Hz would also admit a standstill."""
 
-LEAST_SIGMA = 1e-5
-"""Least standard deviation of a prediction, m and rad. Over a microsecond, that of the motion would
-be so small that rounding loses the information of the features."""
+MIN_SIGMA = 1e-5
+"""Smallest standard deviation of a prediction, m and rad. Over a microsecond, that of the motion
+would be so small that rounding loses the information of the features."""
 
 UNKNOWN_FROM = 0.5
-"""Standard deviation of the forward speed, over that of its prior at the start, from which on it
+"""Standard deviation of the forward speed, over that of its prior at the start, above which it
 counts as unknown."""
 
 FASTEST_START = 1.5
@@ -39,7 +39,7 @@ SUDDEN_TURN_RAD_S2 = 20.0
 camera may turn like that from rest, while a moving object, such as a lorry, looks like a
 translation of the camera, hardly like a rotation."""
 
-MOST_GAPS = 10
+MAX_GAPS = 10
 """Steps in a row that may be gaps, before their duration is taken for that of another frame
 rate."""
 
@@ -171,7 +171,7 @@ class MotionModel:
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
         # Errors of both stamps change the length of the interval, and so the distance. An error
         # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
-        stamp_sigma_s = min(self.config.stamp_sigma_s, LARGEST_STAMP_SHARE * duration_s)
+        stamp_sigma_s = min(self.config.stamp_sigma_s, MAX_STAMP_SHARE * duration_s)
         stamp_variance = 2.0 * stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist, self.twist)
         if gyro is not None:
@@ -193,7 +193,7 @@ class MotionModel:
                 velocity_sensitivity[3:, 3:] = bias_sensitivity
         return MotionPrediction(
             T_curr_prev,
-            cov + LEAST_SIGMA**2 * np.eye(6),
+            cov + MIN_SIGMA**2 * np.eye(6),
             velocity_sensitivity,
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
@@ -378,7 +378,7 @@ class MotionModel:
 
     def _with_step(self, duration_s: float) -> MotionModel:
         """Return the model with the usual step and the gaps after a step of this duration."""
-        if self.is_gap(duration_s) and self.gaps < MOST_GAPS:
+        if self.is_gap(duration_s) and self.gaps < MAX_GAPS:
             # Missing frames do not change the frame rate.
             return replace(self, gaps=self.gaps + 1)
         usual_step_s = 0.9 * self.usual_step_s + 0.1 * duration_s

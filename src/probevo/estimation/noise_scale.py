@@ -15,7 +15,7 @@ PRIOR_STEPS = 1.0
 recordings, and by 0.1 to 0.5 between the steps of one: a step tells more than the model."""
 MEMORY_STEPS = 100.0
 """Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
-LARGEST_FACTOR = 100.0
+MAX_FACTOR = 100.0
 """By how much the variances of a model may be too small or too large. No recording here reaches it.
 Clean rendered ones would reach a bound of 10; their steps then claim up to a third too much."""
 
@@ -45,7 +45,7 @@ class NoiseScale:
         """
         if factor_shown is None or math.isnan(factor_shown):
             return self
-        log_shown = math.log(min(max(factor_shown, 1.0 / LARGEST_FACTOR), LARGEST_FACTOR))
+        log_shown = math.log(min(max(factor_shown, 1.0 / MAX_FACTOR), MAX_FACTOR))
         kept = self.weight * math.exp(-1.0 / MEMORY_STEPS)
         weight = kept + 1.0
         return NoiseScale((kept * self.log_mean + log_shown) / weight, weight)

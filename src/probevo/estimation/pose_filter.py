@@ -21,7 +21,7 @@ from probevo.measurements.base import (
 from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
 
-LEAST_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
+MIN_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
 """Standard deviation to which the first pose is known, m and rad: it is the world's origin by
 definition, but a prior needs a covariance that can be inverted."""
 POSE = 6
@@ -69,7 +69,7 @@ class UncorrectedPath:
         with_path = (
             own_cov + motion.path_cross_cov.T + motion.common_mode @ pose.common_mode[:POSE].T
         )
-        step_share = with_path @ scaled_inverse(pose.cov + np.diag(LEAST_SIGMA**2))
+        step_share = with_path @ scaled_inverse(pose.cov + np.diag(MIN_SIGMA**2))
         of_step = np.eye(len(moved), POSE) - moved
         return UncorrectedPath(pose, moved + of_step @ step_share), cross_cov
 
@@ -228,7 +228,7 @@ class PoseFilter:
         # The prior: this estimate, common-mode part included, regularised, since the first pose is
         # known exactly.
         prior_cov = self.joint_cov
-        prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
+        prior_cov[range(POSE), range(POSE)] += MIN_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
         prior: VectorMeasurement
         if self.further:

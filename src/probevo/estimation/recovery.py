@@ -30,7 +30,7 @@ outside of its covariance."""
 FRAMES_OF_NOISE = 2.0
 """Number of frames over which the noise model holds for matches. Over more, their variance grows in
 proportion to the number of frames, as the NEES of recoveries did on degraded recordings."""
-MOST_DURATION_S = 3.0
+MAX_DURATION_S = 3.0
 """Time after which the last usable frame is given up: a car has then passed what it showed."""
 STATUSES_WITHOUT_FEATURES = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
 """Status of a step whose features were lost. A rejected solve is not among them: its features

@@ -17,9 +17,9 @@ from probevo.measurements.jitter_numba import AXES, DOF
 from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
 
-LEAST_MOTION = 100.0
-"""Squared length of a motion, in units of its covariance, from which on it tells of the errors of
-the images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
+MIN_MOTION = 100.0
+"""Squared length of a motion, in units of its covariance, above which it tells of the errors of the
+images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
 that are learned from it for as long as the rig stands."""
 
 
@@ -95,9 +95,9 @@ class ReprojectionSolution:
 
     @property
     def exceeds_noise(self) -> bool:
-        """Whether the motion is much more than its noise (``LEAST_MOTION``)."""
+        """Whether the motion is much more than its noise (``MIN_MOTION``)."""
         xi = se3.log(self.T_curr_prev)
-        return bool(xi @ np.linalg.solve(self.cov, xi) > LEAST_MOTION)
+        return bool(xi @ np.linalg.solve(self.cov, xi) > MIN_MOTION)
 
     @property
     def full_jacobian(self) -> FloatArray:

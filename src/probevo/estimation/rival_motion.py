@@ -23,8 +23,8 @@ from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.tracking.tracks import Tracks
 
-FEWEST_UNPREDICTED = 2
-"""Least number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
+MIN_UNPREDICTED = 2
+"""Minimum number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
 agree by chance."""
 CONFIDENCE = 0.9999
 """Confidence of RANSAC, by which it takes twice as many samples as usual: less than half of the
@@ -61,7 +61,7 @@ def outranks(
         best: the other.
         camera: the rectified camera.
         fewest: least number of tracks that agree on the rival and contradict the best motion.
-        against_px: error from which on a track contradicts a motion.
+        against_px: error above which a track contradicts a motion.
     """
     against_best = rival.contradicting(best.T_curr_prev, camera, against_px)
     against_rival = best.contradicting(rival.T_curr_prev, camera, against_px)

@@ -13,7 +13,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.matched_rotation import matched_rotation
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
-from probevo.estimation.rival_motion import FEWEST_UNPREDICTED, Supported, outranks
+from probevo.estimation.rival_motion import MIN_UNPREDICTED, Supported, outranks
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
@@ -27,7 +27,7 @@ NEAR_PX = 0.5 * REACH_PX
 both find the same points."""
 NEAR_ROLL_RAD = 0.1
 """The same for a turn about the optical axis."""
-FEWEST_KEPT = 0.5
+MIN_KEPT = 0.5
 """If a smaller share of the previous features that are still in view is found, the search may have
 started in a wrong place."""
 REDUCTION = 8
@@ -164,7 +164,7 @@ def track_from_best_start(
             rival.supported,
             best.supported,
             camera,
-            fewest=FEWEST_UNPREDICTED * config.solver.min_tracks,
+            fewest=MIN_UNPREDICTED * config.solver.min_tracks,
             # Errors that all features share, as of a flexing rig, make no rival.
             against_px=2.0 * config.ransac.threshold_px,
         ):
@@ -216,4 +216,4 @@ def _most_are_lost(found: list[Followed], num_features: int) -> bool:
         return False
     num_in_view = num_features - min(followed.num_left_the_view for followed in found)
     most_found = max(len(followed.tracks) for followed in found)
-    return most_found <= FEWEST_KEPT * num_in_view
+    return most_found <= MIN_KEPT * num_in_view

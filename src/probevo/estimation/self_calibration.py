@@ -31,7 +31,7 @@ from probevo.geometry import se3
 from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks
 
-MOST_REPEATED_SOLVES = 3
+MAX_REPEATED_SOLVES = 3
 """Largest number of repeated solves because of more jitter than expected."""
 
 
@@ -168,7 +168,7 @@ class SelfCalibratingEstimator:
         updated."""
         rig = corrected.rig
         jitter_cov = None if rig is None else rig.jitter.cov
-        for repeats_left in reversed(range(1 + MOST_REPEATED_SOLVES)):
+        for repeats_left in reversed(range(1 + MAX_REPEATED_SOLVES)):
             visual = self._visual.estimate(
                 corrected.tracks,
                 phi,

@@ -66,14 +66,14 @@ CUSUM_ALLOWANCE = 3.5
 """Allowance that is subtracted from each squared innovation before it is summed; the mean of χ²(2)
 is 2."""
 CUSUM_LARGEST_TERM = 12.0
-"""Most that one innovation can add to the sum, so that a few outliers exclude no sensor."""
+"""Largest term that one innovation adds to the sum, so that a few outliers exclude no sensor."""
 CUSUM_ALARM = 39.0
 """Sum at which a sensor is excluded; a consistent one reaches it once in a million measurements."""
 
 STARTING_MEASUREMENTS = 20
 """First measurements of a sensor that it may contradict and start anew. The cumulative sum reaches
 its alarm after five that are beyond the gate, and after a dozen that are nearly so."""
-MOST_RESTARTS = 2
+MAX_RESTARTS = 2
 """Restarts of a sensor. Where one measurement in ten is an outlier, one start in a thousand is bad
 three times in a row."""
 
@@ -115,9 +115,7 @@ class SensorMemory:
         undecided = {ORIGIN} if north.heading_deg is not None else {ORIGIN, NORTH}
         decides = any(undecided.intersection(one.variables) for one in measurements)
         return (
-            decides
-            and self.num_steps <= STARTING_MEASUREMENTS
-            and self.num_restarts < MOST_RESTARTS
+            decides and self.num_steps <= STARTING_MEASUREMENTS and self.num_restarts < MAX_RESTARTS
         )
 
 

@@ -41,7 +41,7 @@ from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
-LARGEST_SCALE = 30.0
+MAX_SCALE = 30.0
 """Largest factor by which the variances may exceed those of the noise model: 5 times σ, or 1 px
 with ``student-t``. With more, the features do not agree on a motion."""
 MIN_INLIER_SHARE = 0.5
@@ -471,7 +471,7 @@ class VisualEstimator:
         return which agree then.
 
         None agree if the variances of the noise model would have to grow by more than
-        ``LARGEST_SCALE``. Tracks that RANSAC rejected count, too. Those within its threshold are no
+        ``MAX_SCALE``. Tracks that RANSAC rejected count, too. Those within its threshold are no
         random sample: selected around the motion of a few, they would understate the noise and
         confirm these few.
         """
@@ -485,7 +485,7 @@ class VisualEstimator:
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _residual_scale(squared, noise)
         agree = agree_with_noise(squared, dof, factor)
-        if noise_factor * factor > LARGEST_SCALE:
+        if noise_factor * factor > MAX_SCALE:
             agree[:] = False
         return _AdaptedNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 

@@ -25,7 +25,7 @@ from probevo.evaluation.clustered_regression import two_sided_p
 from probevo.measurements.preintegration import HELD_NS, LONGEST_HOLE
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
-from probevo.sequences.validation import LARGEST_FORCE_M_S2
+from probevo.sequences.validation import MAX_FORCE_M_S2
 
 INTERVAL_S = 0.5
 """T₁ and T₂: long enough for the noise of the images, short enough for a vehicle's accelerations
@@ -35,12 +35,12 @@ BLOCK_S = 8.0
 PASSES = 3
 """Passes of the regression: the weight of the bias's prior depends on the noise, which is estimated
 in the pass before."""
-FEWEST_SAMPLES = 20
-"""Least number of samples in a pair of intervals: at the rate of the frames, they would alias the
+MIN_SAMPLES = 20
+"""Minimum number of samples in a pair of intervals: at the rate of the frames, they would alias the
 acceleration."""
 FEWEST = 8
-"""Least number of velocity changes, beyond the number of unknowns."""
-LARGEST_SIGMA = 0.1
+"""Minimum number of velocity changes, beyond the number of unknowns."""
+MAX_SIGMA = 0.1
 """Largest σ of a ratio that is reported: without accelerations, the scale is unobservable."""
 
 
@@ -159,12 +159,12 @@ def _velocity_change(
     inside = slice(*np.searchsorted(samples.time_s, [start_s, end_s]))
     t_s = samples.time_s[inside]
     force = samples.force_m_s2[inside]
-    if not (np.abs(force) < LARGEST_FORCE_M_S2).all():
+    if not (np.abs(force) < MAX_FORCE_M_S2).all():
         return None
     gaps_s = np.diff(np.concatenate([[start_s], t_s, [end_s]]))
     # A held sample has two stamps, at both ends of its interval; it counts once.
     apart_s = gaps_s[gaps_s > 1e-9 * HELD_NS]
-    if len(apart_s) <= FEWEST_SAMPLES or gaps_s.max() > LONGEST_HOLE * np.median(apart_s):
+    if len(apart_s) <= MIN_SAMPLES or gaps_s.max() > LONGEST_HOLE * np.median(apart_s):
         return None
     first_s = middle_s - start_s
     second_s = end_s - middle_s
@@ -262,6 +262,6 @@ def _regressed(
     sandwich = float((bread @ meat @ bread)[0, 0]) * factor
     model = variance * float(bread[0, 0])
     sigma = float(np.sqrt(max(sandwich, model)))
-    if freedom < FEWEST or not 0.0 < sigma < LARGEST_SIGMA:
+    if freedom < FEWEST or not 0.0 < sigma < MAX_SIGMA:
         return None
     return AccelerometerScale(ratio, sigma, freedom)

@@ -15,7 +15,7 @@ from probevo.arrays import FloatArray
 _ORDERS_PER_DECADE = 10.0
 """The highest order is ten times the decimal logarithm of the length: the custom since Akaike, and
 more than the criterion chooses."""
-_FEWEST_VALUES_PER_ORDER = 4
+_MIN_VALUES_PER_ORDER = 4
 """Values for each order, at least: the criterion corrects for fewer, but its expansion fails."""
 _ROUNDING = 1e-9
 """Variation below this, relative to the largest value, is rounding."""
@@ -33,7 +33,7 @@ def fit_autoregression(values: FloatArray) -> FloatArray:
     best: FloatArray = np.ones(1)
     if np.ptp(values) <= _ROUNDING * np.abs(values).max():
         return best
-    highest = min(int(_ORDERS_PER_DECADE * np.log10(count)), count // _FEWEST_VALUES_PER_ORDER)
+    highest = min(int(_ORDERS_PER_DECADE * np.log10(count)), count // _MIN_VALUES_PER_ORDER)
     # No order is the true one, but there is a mean or none: hence the two criteria.
     least = np.inf
     for mean, of_mean in ((0.0, 0.0), (values.mean(), np.log(count))):

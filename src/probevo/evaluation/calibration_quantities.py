@@ -23,16 +23,16 @@ from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 GRAVITY_SIGMA_M_S2 = 0.02
 """Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
 NUM_PARTS = 5
-FEWEST_PARTS = 3
+MIN_PARTS = 3
 """Parts of a recording whose mean forces are compared."""
-MOST_DOF = 1e6
+MAX_DOF = 1e6
 """Degrees of freedom beyond which Student's t is a Gaussian."""
 SELF_CALIBRATED = (
     "Rows and disparity: the odometry corrects these errors by itself, as far as they are smooth"
     " over the image. Calibrate anew where one exceeds a pixel, with the board in the corners, too."
 )
-FEWEST_BLOCKS = 5
-"""Least number of segments of the path for an estimate of the scatter."""
+MIN_BLOCKS = 5
+"""Minimum number of segments of the path for an estimate of the scatter."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
     estimated = np.linalg.norm(moved[known], axis=1)
     true = np.linalg.norm(moved_true[known], axis=1)
     together = float(np.sum(moved[known] * moved_true[known]))
-    if len(true) < FEWEST_BLOCKS or not together > 0.0:
+    if len(true) < MIN_BLOCKS or not together > 0.0:
         return None
     # Where both are mostly noise, lengths compare the noise. The regressions of each on the other
     # enclose the scale: they are apart as far as noise decides.
@@ -312,7 +312,7 @@ def gravity_quantity(
         if len(part) > 2 and is_ok[part[0] : part[-1]].all()
     ]
     found = [np.linalg.norm(force) for force in parts if force is not None]
-    if len(found) < FEWEST_PARTS:
+    if len(found) < MIN_PARTS:
         return None
     length = float(np.mean(found))
     # Three independent errors: the bias, gravity at this place, and the scatter of the mean.
@@ -320,7 +320,7 @@ def gravity_quantity(
     sigma = float(np.hypot(np.hypot(bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter))
     # Only the scatter is estimated; the others are known. The sum has the degrees of freedom of
     # Welch and Satterthwaite, those of the scatter times (σ/scatter)⁴.
-    dof = (len(found) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MOST_DOF)
+    dof = (len(found) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MAX_DOF)
     cure = f"the mean specific force is {length:.3g} m/s² long. "
     if length < 2.0:
         cure += "It is in g: multiply by 9.81. Near zero, gravity has been taken off it."

@@ -28,8 +28,8 @@ COSINES = 0.4
 """Number of cosines that show the variance of a sum over K frames, as a multiple of K^⅔. With more
 of them, slow errors seem smaller than they are; with fewer, less is significant. This balance is
 that of Lazarus, Lewis, Stock and Watson (2018), for frames with a correlation of about 0.7."""
-FEWEST_COSINES = 4
-"""Least number of them, for recordings of a second or two. With only two, Student's t exceeds ±28
+MIN_COSINES = 4
+"""Minimum number of them, for recordings of a second or two. With only two, Student's t exceeds ±28
 once in 800 times, and hardly any error would be significant."""
 _MEDIAN_OF_ABSOLUTE = 0.6745
 """Median of the absolute value of a standard normal variable."""
@@ -75,7 +75,7 @@ def regress(
         prior_sigma: standard deviations of the Gaussian prior of β around zero, [P]. They keep
             coefficients that nothing constrains finite.
         track: the feature of each row, [N], whose errors may be correlated for as long as it is
-            seen; None if there are none.
+            seen; None without features.
 
     Returns:
         The estimates. What the data do not constrain has the prior's standard deviation.
@@ -142,7 +142,7 @@ def _num_cosines(count: int, num_coefficients: int) -> int:
     They are no more than what is left of the scatter of the frames by the fit.
     """
     wanted = round(float(COSINES * count ** (2.0 / 3.0)))
-    return max(min(max(wanted, FEWEST_COSINES), count - num_coefficients), 1)
+    return max(min(max(wanted, MIN_COSINES), count - num_coefficients), 1)
 
 
 def _long_run_variance(of_frames: FloatArray, num_cosines: int) -> FloatArray:

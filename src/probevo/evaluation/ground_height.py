@@ -26,12 +26,12 @@ uncertain."""
 HALF_WIDTH = 0.5
 """Half width of the strip below the camera, in units of its height: about that of a car's track."""
 BLOCK_NS = 500_000_000
-"""Least duration of a block; heights within a block share the motion of the suspension."""
-FEWEST_POINTS = 3
-"""Least number of points in a block."""
-FEWEST_BLOCKS = 6
-"""Least number of blocks for an estimate of the scatter."""
-LARGEST_SIGMA = 0.03
+"""Smallest duration of a block; heights within a block share the motion of the suspension."""
+MIN_POINTS = 3
+"""Minimum number of points in a block."""
+MIN_BLOCKS = 6
+"""Minimum number of blocks for an estimate of the scatter."""
+MAX_SIGMA = 0.03
 """Largest relative σ of a height that is reported: a handheld or flying camera has no constant
 height."""
 
@@ -113,7 +113,7 @@ class GroundHeights:
         None if the camera passed over too few points that it had seen, or if its height varies.
         """
         count = len(self._medians)
-        if count < FEWEST_BLOCKS:
+        if count < MIN_BLOCKS:
             return None
         height_m, disparity_px = np.array(self._medians).T
         median_m = float(np.median(height_m))
@@ -122,7 +122,7 @@ class GroundHeights:
         # An offset δ of all disparities changes y = (v − c_v) b/d by −δ/d of itself.
         of_offset = CONSTANT_SIGMA_PX / float(np.median(disparity_px))
         sigma = float(np.hypot(of_scatter, of_offset))
-        if not 0.0 < sigma < LARGEST_SIGMA:
+        if not 0.0 < sigma < MAX_SIGMA:
             return None
         return GroundHeight(median_m, sigma * median_m, count, self._known_m)
 
@@ -153,7 +153,7 @@ class GroundHeights:
             self._start_ns = stamp_ns
         self._block += list(np.column_stack([height_m[found], self._disparity_px[found]]))
         # One median a block; points that are still ahead are kept for later steps.
-        if len(self._block) >= FEWEST_POINTS and stamp_ns - self._start_ns >= BLOCK_NS:
+        if len(self._block) >= MIN_POINTS and stamp_ns - self._start_ns >= BLOCK_NS:
             self._medians.append(np.median(self._block, axis=0))
             self._block = []
         self._keep(along_m >= length_m)

@@ -34,7 +34,7 @@ LAG_SIGMA_S = 0.1
 """Prior standard deviation of τ."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.02)
 """Candidates for the lag at the start."""
-FEWEST_STEPS = 10
+MIN_STEPS = 10
 """Steps that the samples must cover, for eight unknowns."""
 _DIFFERENCE_S = 0.002
 """Half the step of the central difference by τ."""
@@ -100,7 +100,7 @@ def check_gyro(
     # Starts, Gauss–Newton from each, and the solution of the least cost.
     problem = _Problem(between_ns, rotation_rad, stream, calibration)
     by_lag = {float(lag_s): problem.gyro_rotations(float(lag_s)) for lag_s in LAGS_S}
-    if max(int(_covered(gyro_rad).sum()) for gyro_rad in by_lag.values()) < FEWEST_STEPS:
+    if max(int(_covered(gyro_rad).sum()) for gyro_rad in by_lag.values()) < MIN_STEPS:
         return None
     solutions = [problem.solved(start) for start in problem.starts(by_lag)]
     found = [solution for solution in solutions if solution is not None]
@@ -149,7 +149,7 @@ class _Problem:
             fits = []
             for lag_s, gyro_rad in by_lag.items():
                 covered = _covered(gyro_rad)
-                if covered.sum() < FEWEST_STEPS:
+                if covered.sum() < MIN_STEPS:
                     continue
                 start = np.zeros(8)
                 start[LAG] = lag_s
@@ -182,7 +182,7 @@ class _Problem:
             before = self.gyro_rotations(lag_s - _DIFFERENCE_S)
             after = self.gyro_rotations(lag_s + _DIFFERENCE_S)
             covered = _covered(before) & _covered(after)
-            if covered.sum() < FEWEST_STEPS:
+            if covered.sum() < MIN_STEPS:
                 return None
             # Predicted rotations, and their speed of change by the lag, ∂φ_k/∂τ, rad/s
             gyro = 0.5 * (before + after)[covered]
@@ -230,7 +230,7 @@ def _white_noise_rad2_s(stream: ImuStream) -> float:
     apart = np.concatenate([[True], np.diff(stream.stamps_ns) > HELD_NS])
     is_known = apart & np.isfinite(stream.gyro_rad_s).all(axis=1)
     rates = stream.gyro_rad_s[is_known]
-    if len(rates) < FEWEST_STEPS:
+    if len(rates) < MIN_STEPS:
         return 0.0
     variance = float(np.mean(np.sum(np.diff(rates, n=2, axis=0) ** 2, axis=1))) / 6.0
     period_s = 1e-9 * float(np.median(np.diff(stream.stamps_ns[is_known])))

@@ -39,7 +39,7 @@ _DRAWS_AT_ONCE = 50
 """Draws that are computed together: what limits the memory."""
 _ROUNDING = 1e-9
 """A difference of two errors below this, relative to these, is rounding."""
-FEWEST_STEPS = 25
+MIN_STEPS = 25
 """With fewer steps, more than 1 % of the exchanges leave all motions where they are, or
 exchange all of them, so that hardly anything could be significant."""
 
@@ -101,10 +101,10 @@ def paired_differences(
         draws: number of random exchanges.
 
     Returns:
-        The differences of the figures that are defined; nothing with fewer than ``FEWEST_STEPS``.
+        The differences of the figures that are defined; nothing with fewer than ``MIN_STEPS``.
     """
     known = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
-    if len(known) < 2 or len(motions_a) < FEWEST_STEPS:
+    if len(known) < 2 or len(motions_a) < MIN_STEPS:
         return {}
     truth = _Truth(known, T_world_cam_true[known])
     errors_a = truth.errors(_path(motions_a[None]))

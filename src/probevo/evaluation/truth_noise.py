@@ -7,8 +7,8 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
 
-FEWEST_STEPS = 10
-"""Least number of second differences for an estimate."""
+MIN_STEPS = 10
+"""Minimum number of second differences for an estimate."""
 SECOND_DIFFERENCE_GAIN = 10.0
 """Variance of ξ_k−1 − 2 ξ_k + ξ_k+1 over that of ξ, for poses with white noise n, as of GPS.
 
@@ -41,7 +41,7 @@ def truth_noise_ratio(
     of_truth = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
     of_estimate = np.diff(se3.log(T_curr_prev), n=2, axis=0)
     known = np.isfinite(of_truth).all(axis=1)
-    if known.sum() < FEWEST_STEPS:
+    if known.sum() < MIN_STEPS:
         return None
     ratios = []
     # Translation, then rotation: σ² of one axis times three in both numerator and denominator

@@ -158,7 +158,7 @@ def find_dataset(name: str) -> Dataset:
     """Return the data set of a name, such as ``euroc/MH_01_easy``.
 
     Raises:
-        InputError: there is none of that name; it suggests a similar one.
+        InputError: there is no such data set; a similar name is suggested.
     """
     source, _, part = name.strip("/").partition("/")
     found = None

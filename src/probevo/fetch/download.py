@@ -251,7 +251,7 @@ def _published_md5(url: str) -> str:
     """Read an MD5 sum that lies beside its file, as md5sum writes it.
 
     Raises:
-        OSError: it could not be fetched, or is none.
+        OSError: it could not be fetched, or is no MD5 sum.
     """
     request = urllib.request.Request(url, headers={"User-Agent": f"probevo/{__version__}"})
     with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:

@@ -96,7 +96,7 @@ def _given(dataset: Dataset, have: Path | None) -> dict[str, Path]:
     """Return the archives that the user has, by their names.
 
     Raises:
-        InputError: there is none of them.
+        InputError: the user has none of them.
     """
     if have is None:
         return {}

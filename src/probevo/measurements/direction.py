@@ -12,11 +12,11 @@ from probevo.geometry import so3
 from probevo.measurements.base import Values, Variable, VectorMeasurement, as_array
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
-LARGEST_ANGLE_RAD = 3.0
+MAX_ANGLE_RAD = 3.0
 """Angle at which the derivative across the residual is capped; at π it is infinite."""
-LEAST_SINE = 1e-12
+MIN_SINE = 1e-12
 """Sine of an angle below which two directions are the same, or opposite."""
-LEAST_SINE_OF_ZENITH = 1e-3
+MIN_SINE_OF_ZENITH = 1e-3
 """Sine of a zenith angle below which a direction counts as straight up or down, 0.06° from it: its
 azimuth has no meaning."""
 
@@ -83,7 +83,7 @@ class Direction(VectorMeasurement):
         """
         azimuth, zenith = angles_rad
         sine = math.sin(zenith) if 0.0 <= zenith <= math.pi else math.nan
-        if not sine > LEAST_SINE_OF_ZENITH:
+        if not sine > MIN_SINE_OF_ZENITH:
             what = f"a zenith angle of {zenith} rad has no azimuth, or is none."
             cure = "It is from 0, upwards, to π. Give a direction straight up or down as a vector."
             raise InputError("Direction: angles_rad", what, cure)
@@ -108,7 +108,7 @@ class Direction(VectorMeasurement):
         # Bᵀ u has the length sin θ; Bᵀ Log_p(u) has the same direction and the length θ.
         in_plane = tangent_axes(predicted).T @ self.in_camera
         sine = math.hypot(in_plane[0], in_plane[1])
-        if sine < LEAST_SINE:
+        if sine < MIN_SINE:
             # Either equal, or opposite, where e has no direction: choose one.
             return np.zeros(2) if cosine > 0.0 else np.array([math.pi, 0.0])
         residual: FloatArray = math.atan2(sine, cosine) / sine * in_plane
@@ -129,7 +129,7 @@ class Direction(VectorMeasurement):
         shrinks = np.eye(2)
         if angle > 1e-6:
             towards = residual / angle
-            across = angle / math.tan(min(angle, LARGEST_ANGLE_RAD))
+            across = angle / math.tan(min(angle, MAX_ANGLE_RAD))
             shrinks = across * np.eye(2) + (1.0 - across) * np.outer(towards, towards)
         # ∂e/∂p, [2, 3]; p = C d moves by φ × p = −p^ φ.
         of_predicted = -shrinks @ tangent_axes(predicted).T
@@ -165,7 +165,7 @@ def tangent_axes(direction: FloatArray) -> FloatArray:
     """
     x, y, z = direction.tolist()
     level = math.hypot(x, z)
-    sine, cosine = (x / level, z / level) if level > LEAST_SINE else (0.0, 1.0)
+    sine, cosine = (x / level, z / level) if level > MIN_SINE else (0.0, 1.0)
     of_azimuth = np.array([cosine, 0.0, -sine])
     of_zenith = np.array([-y * sine, level, -y * cosine])
     return np.stack([of_azimuth, of_zenith], axis=1)

@@ -11,7 +11,7 @@ from probevo.geometry import so3
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
 
-MOST_UNSEEN = 0.25
+MAX_UNSEEN = 0.25
 """Largest share of an interval without samples: before the first, after the last, and in gaps."""
 HOLE = 3.0
 """A gap is longer than this many median sample periods."""
@@ -41,7 +41,7 @@ def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
     holes_ns = (
         between_ns[between_ns > HOLE * np.median(between_ns)] if len(between_ns) else between_ns
     )
-    return ends_ns + int(holes_ns.sum()) <= MOST_UNSEEN * (end_ns - start_ns)
+    return ends_ns + int(holes_ns.sum()) <= MAX_UNSEEN * (end_ns - start_ns)
 
 
 def integrate_gyro(

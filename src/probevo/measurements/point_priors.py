@@ -142,8 +142,9 @@ def observation_to_point(
     normal = np.empty((3, 3))
     lower_3 = np.zeros((3, 3))
     S = np.zeros((3, 3))
-    for i in range(3 if propagate else 0):
-        S[i, i] = UNKNOWN_PX2
+    if propagate:
+        for i in range(3):
+            S[i, i] = UNKNOWN_PX2
     # The plain average of g: u = u_l, v = ½ (v_l + v_r), d = u_l − u_r.
     K = np.zeros((3, 4))
     K[0, 0] = K[2, 0] = 1.0
@@ -152,9 +153,10 @@ def observation_to_point(
     for n in range(len(observed)):
         is_new = propagate and n == 0
         # Most models give all features the same scale: invert it only if it differs from the last.
-        for i in range(4 if propagate and n > 0 else 0):
-            for j in range(4):
-                is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
+        if propagate and n > 0:
+            for i in range(4):
+                for j in range(4):
+                    is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
         if is_new and invert_symmetric_4(scale[n], inverse, lower):
             for k in range(4):  # Hᵀ R⁻¹; H maps (u, v, d) to (u, v, u − d, v)
                 weighted[0, k] = inverse[0, k] + inverse[2, k]

@@ -21,9 +21,9 @@ from probevo.measurements.preintegration_numba import (
 )
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
-from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S, are_within
+from probevo.sequences.validation import MAX_FORCE_M_S2, MAX_RATE_RAD_S, are_within
 
-FEWEST_SAMPLES = 5
+MIN_SAMPLES = 5
 """Number of samples that cover any interval. Fewer, as those of an inertial navigation system at
 the rate of the frames, do not show how the acceleration changes between them, unless they follow
 one another closely."""
@@ -32,7 +32,7 @@ CLOSE_NS = 1_000_000_000 // 55
 only two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 %
 at 10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the
 mean averages the jitter of stamps, so that an IMU of either rate is used always or never. An
-interval of 1/18 s or more has ``FEWEST_SAMPLES`` then, so that this counts for faster cameras
+interval of 1/18 s or more has ``MIN_SAMPLES`` then, so that this counts for faster cameras
 only."""
 HELD_NS = 1_000
 """Stamps that are not farther apart are of one sample, which is held over an interval."""
@@ -108,8 +108,8 @@ def preintegrate(
         return NoPreintegration(ImuReason(ImuFault.EMPTY_INTERVAL, text))
     if not np.isfinite(imu.accel_m_s2).any():
         return NoPreintegration(ImuReason(ImuFault.NO_ACCELEROMETER, "has no accelerometer"))
-    is_usable = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
-    is_usable &= are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+    is_usable = are_within(imu.gyro_rad_s, MAX_RATE_RAD_S)
+    is_usable &= are_within(imu.accel_m_s2, MAX_FORCE_M_S2)
     stamps_ns = imu.stamps_ns[is_usable]
     reason = _reason_against(stamps_ns, start_ns, end_ns)
     if reason is not None:
@@ -172,10 +172,10 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReaso
     )
     # The ends of the interval count as samples' stamps where no sample reaches them.
     covered_ns = max(int(covering[-1]), end_ns) - min(int(covering[0]), start_ns)
-    if num_samples < FEWEST_SAMPLES and covered_ns > CLOSE_NS * (num_samples - 1):
+    if num_samples < MIN_SAMPLES and covered_ns > CLOSE_NS * (num_samples - 1):
         text = (
             f"has {num_samples} usable samples between two frames, and none for"
-            f" {1e-6 * hole_ns:.0f} ms, where the window needs {FEWEST_SAMPLES}, or one in each"
+            f" {1e-6 * hole_ns:.0f} ms, where the window needs {MIN_SAMPLES}, or one in each"
             f" {1e-6 * CLOSE_NS:.0f} ms in the mean"
         )
         return ImuReason(ImuFault.FEW_SAMPLES, text)

@@ -9,7 +9,7 @@ from probevo.geometry import so3
 from probevo.measurements.base import Values, Variable, as_array, as_rotation
 from probevo.measurements.relative import RelativeMeasurement
 
-LEAST_SIGMA_RAD = 1e-6
+MIN_SIGMA_RAD = 1e-6
 """Its square is added to every variance, so that the covariance of a gyro without noise can be
 inverted."""
 
@@ -34,7 +34,7 @@ class RelativeRotation(RelativeMeasurement):
         curr: Variable,
         prev: Variable | None = None,
     ) -> None:
-        least = LEAST_SIGMA_RAD**2 * np.eye(3)
+        least = MIN_SIGMA_RAD**2 * np.eye(3)
         enlarged = as_array(covariance, (3, 3), "RelativeRotation: covariance") + least
         super().__init__(enlarged, curr, prev, dim=3)
         self.C_curr_prev = as_rotation(C_curr_prev, "RelativeRotation: C_curr_prev")

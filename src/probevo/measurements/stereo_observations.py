@@ -47,7 +47,7 @@ from probevo.measurements.jitter_numba import (
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
 from probevo.measurements.relative import relative_motion
-from probevo.measurements.robust_loss import LEAST_VARIANCE_DOF, RobustLoss
+from probevo.measurements.robust_loss import MIN_VARIANCE_DOF, RobustLoss
 from probevo.measurements.robust_loss_numba import LossKind
 from probevo.measurements.stereo_numba import (
     FeatureWeights,
@@ -444,7 +444,7 @@ class StereoObservations:
             # A single feature without a variance would leave least squares without information.
             dof = self.noise.dof
             if self.loss.kind is LossKind.L2:
-                dof = np.maximum(dof, LEAST_VARIANCE_DOF)
+                dof = np.maximum(dof, MIN_VARIANCE_DOF)
             curvatures, scatters = self.loss.moments(dof)
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count

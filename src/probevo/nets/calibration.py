@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Collection
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +50,7 @@ class Calibration(NamedTuple):
         }
 
 
-def calibration(left_out: Collection[Claimed]) -> Calibration:
+def calibration(left_out: Sequence[Claimed]) -> Calibration:
     """Return the factor on covariances, from errors of recordings that were not learned from.
 
     Errors of successive data are correlated: the same street is seen again. A path adds them up,

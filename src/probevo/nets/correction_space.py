@@ -19,8 +19,8 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.nets.corrections import correction_error
 from probevo.nets.triangular_covariance import TriangularCovariance
 
-LEAST_SIGMA = 1e-3
-MOST_SIGMA = 10.0
+MIN_SIGMA = 1e-3
+MAX_SIGMA = 10.0
 """Learned standard deviations lie between these, in units of the training data's."""
 ALL_AXES = (0, 1, 2, 3, 4, 5)
 ROTATION_AXES = (3, 4, 5)
@@ -98,7 +98,7 @@ class CorrectionTargets:
     @property
     def _covariance(self) -> TriangularCovariance:
         # An output of zero stands for the covariance of the training data.
-        return TriangularCovariance(dof=self.dof, least=LEAST_SIGMA, most=MOST_SIGMA, first=1.0)
+        return TriangularCovariance(dof=self.dof, least=MIN_SIGMA, most=MAX_SIGMA, first=1.0)
 
     @cached_property
     def _inverse_root(self) -> FloatArray:

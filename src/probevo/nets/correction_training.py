@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, concatenated
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -37,17 +37,16 @@ from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
-    kept_text,
+    sensor_errors,
     trunk_features,
-    which_are_used,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 
-LEAST_STEPS = NUM_REGRESSORS + 1
+MIN_STEPS = NUM_REGRESSORS + 1
 """Steps to learn from, at least: the weights of the regression along one axis."""
-LEAST_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
+MIN_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
 """Standard deviations, m and rad, below which what remains of the training data is rounding."""
 
 
@@ -122,12 +121,12 @@ def _train(
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
     # The last recordings are left out.
     settings = run.settings
-    learned = EstimatedSteps.joined(steps[: run.split])
+    learned = concatenated(steps[: run.split])
     left_out = steps[run.split :]
-    joined = EstimatedSteps.joined(left_out)
-    if len(learned) < LEAST_STEPS:
+    joined = concatenated(left_out)
+    if len(learned) < MIN_STEPS:
         what = f"{len(learned)} steps to learn from are too few."
-        raise InputError("SEQUENCE", what, f"Give at least {LEAST_STEPS}.")
+        raise InputError("SEQUENCE", what, f"Give at least {MIN_STEPS}.")
     axes = ROTATION_AXES if settings.rotation_only else ALL_AXES
     inputs = inputs_of(learned.fields, learned.motions, learned.covariances)
     inputs_left_out = inputs_of(joined.fields, joined.motions, joined.covariances)
@@ -140,7 +139,7 @@ def _train(
     in_si = linear_fit(inputs, standard, wanted)
     # What the regression leaves, [N, d], m and rad
     remaining = wanted - linear_estimates(inputs, standard, in_si)
-    least = np.diag(LEAST_SIGMA[list(axes)] ** 2)
+    least = np.diag(MIN_SIGMA[list(axes)] ** 2)
     root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)
     space = CorrectionTargets(tuple(map(tuple, root.tolist())), axes)
     to_units = np.linalg.inv(root)
@@ -222,18 +221,13 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     network = CorrectionNetwork.load(path)
     config = OdometryConfig.model_validate(network.facts["odometry"])
     steps = read_steps(sequence, len(sequence), config=config)
-    claimed = errors_of(network, steps)
     inputs = inputs_of(steps.fields, steps.motions, steps.covariances)
-    widening = network.estimate(inputs).widening
-    is_used = which_are_used(widening, sequence.path)
-    num_lengths = 0 if network.space.axes == ROTATION_AXES else 3
-    return SensorErrors(
-        claimed.errors[is_used],
-        claimed.covariances[is_used],
-        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
-        num_silent=int(np.sum(~is_used)),
-        num_lengths=num_lengths,
-        kept=kept_text(network.facts),
+    return sensor_errors(
+        errors_of(network, steps),
+        network.estimate(inputs).widening,
+        network.facts,
+        path=sequence.path,
+        num_lengths=0 if network.space.axes == ROTATION_AXES else 3,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -43,14 +42,6 @@ class EstimatedSteps:
     def __len__(self) -> int:
         """Return N."""
         return len(self.fields)
-
-    @staticmethod
-    def joined(parts: Collection[EstimatedSteps]) -> EstimatedSteps:
-        """Return the steps of several recordings, one after the other."""
-        names = vars(parts[0])
-        return EstimatedSteps(
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        )
 
 
 class _Asked(NamedTuple):

@@ -36,7 +36,7 @@ HIDDEN = 32
 """Units of the hidden layer of each head."""
 SMALL = 0.1
 """Factor on the first weights of the last layers: the heads begin near the regression."""
-LEAST_SPREAD = 1e-6
+MIN_SPREAD = 1e-6
 """Added to the standard deviation of a channel."""
 RIDGE = 1e-3
 """Ridge penalty of the linear regression, per sample, for standardised flow."""
@@ -219,7 +219,7 @@ def fit_fields(batches: Iterable[tuple[FloatArray, FloatArray]], ridge: float = 
         right = right + design.T @ targets
         count += len(values)
     mean, square = moments / (count * CELLS[0] * CELLS[1])
-    scale = 1.0 / (np.sqrt(np.maximum(square - mean**2, 0.0)) + LEAST_SPREAD)
+    scale = 1.0 / (np.sqrt(np.maximum(square - mean**2, 0.0)) + MIN_SPREAD)
     # Standardised flow is (f − m) s: the design is D A, with A = [[diag(s), 0], [−m s, 1]].
     per_channel = (len(normal) - 1) // NUM_FLOW
     factor = np.append(np.repeat(scale[:NUM_FLOW], per_channel), 1.0)
@@ -251,7 +251,7 @@ def standardisation(fields: FloatArray) -> tuple[FloatArray, FloatArray]:
     # One channel at a time: gigabytes of images should not be there twice in double precision.
     channels = range(fields.shape[1])
     spread = np.array([fields[:, channel].std(dtype=np.float64) for channel in channels])
-    return mean[:, None, None], 1.0 / (spread[:, None, None] + LEAST_SPREAD)
+    return mean[:, None, None], 1.0 / (spread[:, None, None] + MIN_SPREAD)
 
 
 def _pooled(fields: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ CELLS = (SIZE_PX[1] // CELL_PX, SIZE_PX[0] // CELL_PX)
 """Rows and columns of cells."""
 CHANNELS = 4
 """Flow along x and y, mismatch and contrast."""
-LEAST_LEVELS = 2.0
+MIN_LEVELS = 2.0
 """Added to grey levels before their logarithm is taken: quantisation and noise of a dark image."""
 
 
@@ -54,7 +54,7 @@ def virtual_view(image: Image, camera: StereoCamera) -> Image:
             [0.0, camera.fv_px / FOCAL_PX, camera.cv_px - camera.fv_px * _center()[1] / FOCAL_PX],
         ]
     )
-    # A pixel of the virtual camera is the mean of those it covers, by and large.
+    # A pixel of the virtual camera is roughly the mean of those it covers.
     sigma_px = 0.4 * max(camera.fu_px / FOCAL_PX, 1.0)
     blurred = cv2.GaussianBlur(image, (0, 0), sigma_px)
     view = cv2.warpAffine(
@@ -123,8 +123,8 @@ def flow_field(prev: Image, curr: Image) -> FloatArray:
     field = [
         cell_means(flow_px[..., 0]) / FOCAL_PX,
         cell_means(flow_px[..., 1]) / FOCAL_PX,
-        np.log(cell_means(difference) + LEAST_LEVELS),
-        np.log(np.sqrt(variance) + LEAST_LEVELS),
+        np.log(cell_means(difference) + MIN_LEVELS),
+        np.log(np.sqrt(variance) + MIN_LEVELS),
     ]
     return np.stack(field).astype(np.float32)
 

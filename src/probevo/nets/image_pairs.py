@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -31,14 +30,6 @@ class ImagePairs:
     def __len__(self) -> int:
         """Return N."""
         return len(self.fields)
-
-    @staticmethod
-    def joined(parts: Collection[ImagePairs]) -> ImagePairs:
-        """Return the pairs of several recordings, one after the other."""
-        return ImagePairs(
-            np.concatenate([part.fields for part in parts]),
-            np.concatenate([part.rotations for part in parts]),
-        )
 
 
 def read_pairs(

@@ -23,7 +23,7 @@ from probevo.storage.files import check_regular, write_atomically
 
 FORMAT = "probevo-network"
 """Name of the one entry of the metadata, a JSON object: with several, their order would vary."""
-MOST_BYTES = 10_000_000_000
+MAX_BYTES = 10_000_000_000
 CURE = "Delete it, and train again."
 CURE_OF_VERSION = "It is probably of another version of probevo: train again with this one."
 """Arrays with a right checksum are as they were written."""
@@ -52,7 +52,7 @@ def read_facts(path: Path) -> dict[str, Any]:
     """Read what a file says of itself.
 
     Raises:
-        InputError: the file cannot be read, is none of networks, or is damaged.
+        InputError: the file cannot be read, is damaged, or holds no networks.
     """
     return _read(path)[0]
 
@@ -99,7 +99,7 @@ def _name(place: Any) -> str:
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """Read and check all of a file."""
-    check_regular(path, MOST_BYTES)
+    check_regular(path, MAX_BYTES)
     try:
         with safe_open(path, framework="numpy") as file:
             entry = json.loads((file.metadata() or {})[FORMAT])

@@ -15,16 +15,8 @@ TERMS = 24
 """Terms of each series. Up to an angle of 2π, the first omitted term is below 1e-17."""
 SMALL_SQ = 1e-8
 """sin²(θ/2) up to which the logarithm is a series; what it omits is below 1e-17."""
-LEAST_LENGTH_SQ = 1e-12
+MIN_LENGTH_SQ = 1e-12
 """Added to a squared length before a vector is divided by it."""
-
-
-def entire_series(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
-    """Return Σ_k a_k x^k by Horner's rule: no case distinction, and so no NaN in derivatives."""
-    total = jnp.zeros_like(x)
-    for coefficient in reversed(coefficients):
-        total = total * x + coefficient
-    return total
 
 
 def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
@@ -34,14 +26,17 @@ def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
         order: n.
         angle_sq: θ², [...], rad²; accurate up to θ = 2π.
     """
-    coefficients = tuple((-1) ** k / factorial(2 * k + order) for k in range(TERMS))
-    return entire_series(coefficients, angle_sq)
+    # By Horner's rule: no case distinction, and so no NaN in derivatives.
+    total = jnp.zeros_like(angle_sq)
+    for k in reversed(range(TERMS)):
+        total = total * angle_sq + (-1) ** k / factorial(2 * k + order)
+    return total
 
 
 def normalized(vectors: jax.Array) -> jax.Array:
     """Return vectors, [..., 4], divided by their lengths; a vector of zeros stays one."""
     length_sq = jnp.sum(vectors**2, axis=-1, keepdims=True)
-    return vectors * jax.lax.rsqrt(length_sq + LEAST_LENGTH_SQ)
+    return vectors * jax.lax.rsqrt(length_sq + MIN_LENGTH_SQ)
 
 
 def exp(phi: jax.Array) -> jax.Array:

@@ -24,9 +24,9 @@ FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
 FURTHER_SPREAD = 1.0
 """Standard deviation of the logarithm of a random factor on these: many small rotations, few large
 ones."""
-MOST_FURTHER_RAD = 0.06
+MAX_FURTHER_RAD = 0.06
 """No axis is rotated more: at a tenth of a second, a turn of 34° a second."""
-MOST_CELLS = 8
+MAX_CELLS = 8
 """Largest sideways shift of a single image, in cells: a rotation by 10°."""
 BATCH = 1024
 """Copies that are made at once where all of them are gone through."""
@@ -82,7 +82,7 @@ def turned_pairs(
     # C' = C C_curr_prev: the copy has turned by C after the step.
     factor = jnp.exp(FURTHER_SPREAD * jax.random.normal(of_factor, (count, 1)))
     further = factor * FURTHER_SIGMA_RAD * jax.random.normal(of_turn, (count, 3))
-    q = quaternions.exp(jnp.clip(further, -MOST_FURTHER_RAD, MOST_FURTHER_RAD))
+    q = quaternions.exp(jnp.clip(further, -MAX_FURTHER_RAD, MAX_FURTHER_RAD))
     axes = jnp.eye(3)[None]
     C = jnp.moveaxis(quaternions.rotate(q[:, None], axes), 1, 2)
     return rotated(fields, C), quaternions.product(q[:, None], q_curr_prev)
@@ -110,7 +110,7 @@ def turned_views(
     directions = jnp.where(is_mirrored, jnp.array([-1.0, 1.0, 1.0]) * directions, directions)
     # Content that moves to larger x has a camera that turns to the left: the sun turns about +y,
     # from z to x.
-    cells = jax.random.randint(of_turn, (count,), -MOST_CELLS, MOST_CELLS + 1)
+    cells = jax.random.randint(of_turn, (count,), -MAX_CELLS, MAX_CELLS + 1)
     columns = jnp.clip(jnp.arange(num_columns) - cells[:, None], 0, num_columns - 1)
     moved = jnp.take_along_axis(fields, columns[:, None, None], axis=-1)
     angles = jnp.arctan(cells * CELL_PX / FOCAL_PX)[:, None]

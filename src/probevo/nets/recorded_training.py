@@ -9,12 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import abc
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -36,9 +35,9 @@ from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
-from probevo.storage.files import check_folder, remove_stale, write_atomically
+from probevo.storage.files import check_folder, remove_stale
 from probevo.storage.lock import locked
-from probevo.storage.npz import NO_NPZ, read_npz
+from probevo.storage.npz import NO_NPZ, read_npz, write_npz
 
 OnProgress = Callable[[int, int], None]
 """Takes the number of frames that are done, all epochs counted, and their total."""
@@ -194,7 +193,7 @@ class Task(Generic[Samples]):
 
 def train_task(
     task: Task[Samples],
-    recordings: Collection[Sequence],
+    recordings: abc.Sequence[Sequence],
     settings: NetworkSettings,
     *,
     out: Path,
@@ -276,7 +275,7 @@ def _origin(sequence: Sequence) -> str:
 
 def _read_all(
     task: Task[Samples],
-    recordings: Collection[Sequence],
+    recordings: abc.Sequence[Sequence],
     counts: list[int],
     run: TrainingRun,
 ) -> list[Samples]:
@@ -297,7 +296,7 @@ def _read_all(
 
 
 def _check_samples(
-    samples: list[Any], recordings: Collection[Sequence], counts: list[int], *, split: int
+    samples: list[Any], recordings: abc.Sequence[Sequence], counts: list[int], *, split: int
 ) -> None:
     """Refuse recordings whose truth is known too seldom to learn from them, or to calibrate.
 
@@ -333,9 +332,7 @@ def write_samples(path: Path, samples: Any) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    content = BytesIO()
-    np.savez(content, **vars(samples))
-    write_atomically(path, content.getvalue())
+    write_npz(path, vars(samples))
 
 
 def read_samples(path: Path, samples: type[Samples]) -> Samples | None:
@@ -355,7 +352,7 @@ def _show_nothing(done: int, total: int) -> None:
     """Show no progress."""
 
 
-def _check(recordings: Collection[Sequence], settings: NetworkSettings) -> None:
+def _check(recordings: abc.Sequence[Sequence], settings: NetworkSettings) -> None:
     """Refuse recordings that are named twice, or too few.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, concatenated
 from probevo.geometry import so3
 from probevo.nets import quaternions
 from probevo.nets.calibration import BLOCK, Claimed, calibration
@@ -23,10 +23,9 @@ from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, method_o
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
-    kept_text,
     saliency,
+    sensor_errors,
     trunk_features,
-    which_are_used,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -81,9 +80,9 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
     # The last recordings are left out; of the others, copies are learned from.
     settings = run.settings
-    learned = ImagePairs.joined(pairs[: run.split])
+    learned = concatenated(pairs[: run.split])
     left_out = pairs[run.split :]
-    joined = ImagePairs.joined(left_out)
+    joined = concatenated(left_out)
     method = method_of(settings.heads)
     copies = RandomCopies(
         turned_pairs,
@@ -143,15 +142,11 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     """
     network = RotationNetwork.load(path)
     pairs = read_pairs(sequence, len(sequence))
-    errors, covariances = errors_of(network, pairs)
-    widening = network.estimate(pairs.fields).widening
-    is_used = which_are_used(widening, sequence.path)
-    return SensorErrors(
-        errors[is_used],
-        covariances[is_used],
-        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
-        num_silent=int(np.sum(~is_used)),
-        kept=kept_text(network.facts),
+    return sensor_errors(
+        errors_of(network, pairs),
+        network.estimate(pairs.fields).widening,
+        network.facts,
+        path=sequence.path,
         saliency=saliency(network, SPACE, pairs.fields, _quaternions(pairs.rotations)),
     )
 

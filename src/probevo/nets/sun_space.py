@@ -14,15 +14,15 @@ import jax.numpy as jnp
 from probevo.arrays import AnyArray, FloatArray
 from probevo.nets.triangular_covariance import TriangularCovariance
 
-LEAST_SIGMA_RAD = 0.01
-MOST_SIGMA_RAD = 2.0
+MIN_SIGMA_RAD = 0.01
+MAX_SIGMA_RAD = 2.0
 """Standard deviations before the axes are mixed lie between these two."""
 FIRST_SIGMA_RAD = 0.5
 """Standard deviation that an output of zero stands for."""
 COVARIANCE = TriangularCovariance(
-    dof=2, least=LEAST_SIGMA_RAD, most=MOST_SIGMA_RAD, first=FIRST_SIGMA_RAD
+    dof=2, least=MIN_SIGMA_RAD, most=MAX_SIGMA_RAD, first=FIRST_SIGMA_RAD
 )
-LEAST_LENGTH = 1e-9
+MIN_LENGTH = 1e-9
 """Added to squared lengths: at the zenith, and where there is no error."""
 
 
@@ -34,7 +34,7 @@ class SunTargets:
     size = 3
     dof = 2
     num_covariance = 3
-    least_variance = LEAST_SIGMA_RAD**2
+    least_variance = MIN_SIGMA_RAD**2
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the outputs as unit vectors."""
@@ -45,7 +45,7 @@ class SunTargets:
         x = targets[..., 0]
         y = targets[..., 1]
         z = targets[..., 2]
-        level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
+        level = jnp.sqrt(x**2 + z**2 + MIN_LENGTH)
         sine = x / level
         cosine = z / level
         u = estimates[..., 0]
@@ -55,7 +55,7 @@ class SunTargets:
         # of the azimuth, and (−y x/level, level, −y z/level) of the zenith angle.
         of_azimuth = cosine * u - sine * w
         of_zenith = -y * sine * u + level * v - y * cosine * w
-        across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + LEAST_LENGTH)
+        across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + MIN_LENGTH)
         along = u * x + v * y + w * z
         # Log: the angle between both, along the direction of the tangential part
         factor = jnp.arctan2(across, along) / across
@@ -66,7 +66,7 @@ class SunTargets:
         x = targets[..., 0]
         y = targets[..., 1]
         z = targets[..., 2]
-        level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
+        level = jnp.sqrt(x**2 + z**2 + MIN_LENGTH)
         azimuth = errors[..., 0]
         zenith = errors[..., 1]
         moved = [
@@ -82,7 +82,7 @@ class SunTargets:
 
     def squared(self, errors: jax.Array) -> jax.Array:
         """Return the squared chord between estimate and truth, which is bounded by 4."""
-        return 2.0 - 2.0 * jnp.cos(jnp.sqrt(jnp.sum(errors**2, axis=-1) + LEAST_LENGTH))
+        return 2.0 - 2.0 * jnp.cos(jnp.sqrt(jnp.sum(errors**2, axis=-1) + MIN_LENGTH))
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the errors in units of their σ, and ½ ln |Σ|, as ``TriangularCovariance`` does.
@@ -104,4 +104,4 @@ class SunTargets:
 
 def _unit(vectors: jax.Array) -> jax.Array:
     """Return vectors, [..., 3], divided by their lengths."""
-    return vectors * jax.lax.rsqrt(jnp.sum(vectors**2, axis=-1, keepdims=True) + LEAST_LENGTH)
+    return vectors * jax.lax.rsqrt(jnp.sum(vectors**2, axis=-1, keepdims=True) + MIN_LENGTH)

@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, concatenated
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import Domain
@@ -28,9 +28,8 @@ from probevo.nets.sun_views import (
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
-    kept_text,
     saliency,
-    which_are_used,
+    sensor_errors,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -88,9 +87,9 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
     # The last recordings are left out; of the others, copies are learned from.
     settings = run.settings
-    learned = SunViews.joined(views[: run.split])
+    learned = concatenated(views[: run.split])
     left_out = views[run.split :]
-    joined = SunViews.joined(left_out)
+    joined = concatenated(left_out)
     method = method_of(settings)
     copies = RandomCopies(
         turned_views,
@@ -152,15 +151,11 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     """
     network = SunNetwork.load(path)
     views = read_views(sequence, len(sequence))
-    errors, covariances = errors_of(network, views)
-    widening = network.estimate(views.fields).widening
-    is_used = which_are_used(widening, sequence.path)
-    return SensorErrors(
-        errors[is_used],
-        covariances[is_used],
-        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
-        num_silent=int(np.sum(~is_used)),
-        kept=kept_text(network.facts),
+    return sensor_errors(
+        errors_of(network, views),
+        network.estimate(views.fields).widening,
+        network.facts,
+        path=sequence.path,
         saliency=saliency(network, SPACE, views.fields, views.directions),
     )
 

@@ -7,7 +7,6 @@ y z, in the world of its true poses, which is the first camera. Rendered scenes 
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -18,19 +17,19 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.nets.flow_field import CELL_PX, LEAST_LEVELS, cell_means, virtual_view
+from probevo.nets.flow_field import CELL_PX, MIN_LEVELS, cell_means, virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
 from probevo.storage.files import check_regular
 
-MOST_BYTES = 10_000
+MAX_BYTES = 10_000
 CURE = "Write the direction towards the sun into it, x y z, in the frame of the first camera."
 CHANNELS = 4
 """Level, contrast, and gradients along x and y."""
 NUM_STATISTICS = 2 * CHANNELS - 1
 """Numbers that ``image_statistics`` gives."""
-LEAST_SPREAD = 1e-3
+MIN_SPREAD = 1e-3
 """Standard deviation of a channel over the cells that counts as none."""
 BLUR_PX = 1.5
 """Blur of the image before its gradients are taken."""
@@ -49,14 +48,6 @@ class SunViews:
         """Return N."""
         return len(self.fields)
 
-    @staticmethod
-    def joined(parts: Collection[SunViews]) -> SunViews:
-        """Return the images of several recordings, one after the other."""
-        return SunViews(
-            np.concatenate([part.fields for part in parts]),
-            np.concatenate([part.directions for part in parts]),
-        )
-
 
 def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
     """Return what a network sees of one image, [4, rows, columns], float32.
@@ -70,14 +61,14 @@ def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
     """
     # In logarithms of grey levels, a factor of the exposure is an offset.
     levels = virtual_view(image, camera).astype(np.float32)
-    logs = np.log(levels + LEAST_LEVELS)
+    logs = np.log(levels + MIN_LEVELS)
     mean = cell_means(levels)
     variance = np.maximum(cell_means(levels**2) - mean**2, 0.0)
     smooth = cv2.GaussianBlur(logs, (0, 0), BLUR_PX)
     along_y, along_x = np.gradient(smooth)
     field = [
         cell_means(logs) - logs.mean(),
-        np.log(np.sqrt(variance) + LEAST_LEVELS) - np.log(mean + LEAST_LEVELS),
+        np.log(np.sqrt(variance) + MIN_LEVELS) - np.log(mean + MIN_LEVELS),
         CELL_PX * cell_means(along_x),
         CELL_PX * cell_means(along_y),
     ]
@@ -96,7 +87,7 @@ def image_statistics(fields: FloatArray) -> FloatArray:
     fields = fields.astype(np.float64)
     means = fields[:, 1:].mean(axis=(2, 3))
     spreads = fields.std(axis=(2, 3))
-    return np.concatenate([means, np.log(spreads + LEAST_SPREAD)], axis=1)
+    return np.concatenate([means, np.log(spreads + MIN_SPREAD)], axis=1)
 
 
 def read_views(
@@ -157,7 +148,7 @@ def read_sun(folder: Path) -> FloatArray:
     path = folder / SUN_FILE
     if not path.exists():
         raise InputError(path, "there is no such file.", CURE)
-    check_regular(path, MOST_BYTES)
+    check_regular(path, MAX_BYTES)
     try:
         direction = np.array([float(word) for word in path.read_text("utf-8").split()])
     except (OSError, ValueError) as error:

@@ -17,10 +17,10 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.nets import quaternions
 from probevo.nets.triangular_covariance import TriangularCovariance
 
-LEAST_VARIANCE = 1e-6
-"""Least variance of a number; as published."""
-LEAST_SIGMA_RAD = 1e-4
-MOST_SIGMA_RAD = math.pi
+MIN_VARIANCE = 1e-6
+"""Smallest variance of a number; as published."""
+MIN_SIGMA_RAD = 1e-4
+MAX_SIGMA_RAD = math.pi
 """Standard deviations of rotations lie between these two before axes are mixed."""
 FIRST_SIGMA_RAD = 0.5
 """Standard deviation that an output of zero stands for. If it is small, the first steps of a
@@ -87,7 +87,7 @@ class NumberTargets:
     size = 1
     dof = 1
     num_covariance = 1
-    least_variance = LEAST_VARIANCE
+    least_variance = MIN_VARIANCE
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the outputs."""
@@ -111,13 +111,13 @@ class NumberTargets:
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return e / σ and log σ."""
-        variance = jax.nn.softplus(raw) + LEAST_VARIANCE
+        variance = jax.nn.softplus(raw) + MIN_VARIANCE
         return errors * jax.lax.rsqrt(variance), 0.5 * jnp.log(variance[..., 0])
 
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return the variance, [..., 1, 1]."""
         # softplus(x) = ln(1 + eˣ), without overflow
-        variance = np.logaddexp(0.0, np.asarray(raw, np.float64)) + LEAST_VARIANCE
+        variance = np.logaddexp(0.0, np.asarray(raw, np.float64)) + MIN_VARIANCE
         return variance[..., None]
 
 
@@ -128,7 +128,7 @@ class RotationTargets:
     size = 4
     dof = 3
     num_covariance = 6
-    least_variance = LEAST_SIGMA_RAD**2
+    least_variance = MIN_SIGMA_RAD**2
     first_sigma_rad = FIRST_SIGMA_RAD
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
@@ -162,7 +162,7 @@ class RotationTargets:
     @property
     def _covariance(self) -> TriangularCovariance:
         return TriangularCovariance(
-            dof=3, least=LEAST_SIGMA_RAD, most=MOST_SIGMA_RAD, first=self.first_sigma_rad
+            dof=3, least=MIN_SIGMA_RAD, most=MAX_SIGMA_RAD, first=self.first_sigma_rad
         )
 
 

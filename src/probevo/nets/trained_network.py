@@ -14,16 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo import __version__
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.nets import methods
+from probevo.nets.calibration import Claimed
 from probevo.nets.domain import FARTHEST, Domain
 from probevo.nets.methods import Method, Prediction
 from probevo.nets.network_file import read_facts, read_network_file, write_network_file
 from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
+from probevo.sensor_kinds import SensorErrors
 
-MOST_ESTIMATES = 1000
+MAX_ESTIMATES = 1000
 """Estimates of one input that a file may ask for: networks × passes × heads."""
 
 
@@ -150,16 +152,16 @@ def _count_of_epochs(count: int) -> str:
 
 
 def _check_method(method: Method) -> None:
-    """Refuse numbers that would fill the memory, or are none.
+    """Refuse values that are not numbers, or would fill the memory.
 
     Raises:
         ValueError: says which.
     """
     for name in ("networks", "passes", "heads"):
         count = getattr(method, name)
-        if type(count) is not int or not 1 <= count <= MOST_ESTIMATES:
+        if type(count) is not int or not 1 <= count <= MAX_ESTIMATES:
             raise ValueError(f"{name} is {count!r}")
-    if method.num_estimates > MOST_ESTIMATES:
+    if method.num_estimates > MAX_ESTIMATES:
         raise ValueError(f"{method.num_estimates} estimates of each input")
     if type(method.dropout) not in (int, float) or not 0.0 <= method.dropout < 1.0:
         raise ValueError(f"dropout is {method.dropout!r}")
@@ -242,21 +244,41 @@ def saliency(
     return np.asarray(found, np.float64)
 
 
-def which_are_used(widening: FloatArray, path: Path) -> BoolArray:
-    """Return which of N inputs a run has a measurement of, [N].
+def sensor_errors(
+    claimed: Claimed,
+    widening: FloatArray,
+    facts: Mapping[str, Any],
+    *,
+    path: Path,
+    num_lengths: int = 0,
+    saliency: FloatArray | None = None,
+) -> SensorErrors:
+    """Return the errors of the measurements that a run would use.
 
     Args:
-        widening: as ``evaluate`` gives it, [N].
+        claimed: errors and covariances of all N inputs.
+        widening: of each input, as ``evaluate`` gives it, [N].
+        facts: what the file of the network says of it.
         path: the recording.
+        num_lengths: leading components of an error that are lengths.
+        saliency: as ``saliency`` returns it.
 
     Raises:
-        InputError: of none: there are no errors to be shown.
+        InputError: no input is within the domain: there are no errors to be shown.
     """
-    is_used: BoolArray = widening <= FARTHEST
+    is_used = widening <= FARTHEST
     if not is_used.any():
         what = "all of it is so unlike what the network has learned that it measures nothing."
         raise InputError(path, what, "Take another recording, or learn from ones like this.")
-    return is_used
+    return SensorErrors(
+        claimed.errors[is_used],
+        claimed.covariances[is_used],
+        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
+        num_silent=int(np.sum(~is_used)),
+        num_lengths=num_lengths,
+        saliency=saliency,
+        kept=kept_text(facts),
+    )
 
 
 def is_beyond_domain(widening: float) -> bool:

@@ -9,7 +9,7 @@ from probevo.noise.base import NoiseModel
 from probevo.noise.model_file import ModelFile
 
 NAME = "jitter_cov"
-LARGEST_SIGMA_RAD = 0.1
+MAX_SIGMA_RAD = 0.1
 """Largest plausible σ of an angle: with more, the two images would not match at all."""
 
 
@@ -32,7 +32,7 @@ def jitter_cov_of(file: ModelFile) -> FloatArray | None:
     is_symmetric = is_matrix and np.allclose(cov, cov.T, rtol=1e-9, atol=0.0)
     if not is_symmetric or not np.linalg.eigvalsh(cov)[0] > 0.0:
         raise ValueError("its covariance of the jitter is not a positive definite matrix")
-    if np.diagonal(cov).max() > LARGEST_SIGMA_RAD**2:
+    if np.diagonal(cov).max() > MAX_SIGMA_RAD**2:
         raise ValueError("its jitter is not a small rotation")
     return cov
 

@@ -14,7 +14,7 @@ def save_model(model: LearnedNoiseModel, path: Path | str) -> None:
     """Write a fitted model; the same model gives the same bytes.
 
     Raises:
-        InputError: the model is none that was learned, or the file cannot be written.
+        InputError: the model was not learned, or the file cannot be written.
     """
     if not isinstance(path, str | Path):
         raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")

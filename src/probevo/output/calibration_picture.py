@@ -30,7 +30,7 @@ UNDATED = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"Creatio
 """Formats by the ending of the file, and what keeps a date out of each: same input, same bytes."""
 SAMPLES = 60
 """Places along each axis of the image at which the errors are drawn."""
-LEAST_SCALE_PX = 0.5
+MIN_SCALE_PX = 0.5
 """Row offset at which the colours end, if none is larger."""
 ARROW_COLUMNS = 22
 """Arrows across the image that show the distortion field."""
@@ -102,7 +102,7 @@ def _draw_rows(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
     width_px, height_px = image_plane(camera)
     u, v = np.meshgrid(np.linspace(0.0, width_px, SAMPLES), np.linspace(0.0, height_px, SAMPLES))
     offset_px = row_basis(_far_points(u.ravel(), v.ravel()), camera) @ rig.rows
-    most_px = max(LEAST_SCALE_PX, float(np.abs(offset_px).max()))
+    most_px = max(MIN_SCALE_PX, float(np.abs(offset_px).max()))
     drawn = axes.imshow(
         offset_px.reshape(u.shape),
         extent=(0.0, width_px, height_px, 0.0),
@@ -149,7 +149,7 @@ def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> N
     of_u, of_v = rig.image.distortion[: 2 * len(COMMON_MODES)].reshape(2, -1)
     moved_u = modes @ of_u
     moved_v = modes @ of_v
-    longest_px = max(LEAST_SCALE_PX, float(np.hypot(moved_u, moved_v).max()))
+    longest_px = max(MIN_SCALE_PX, float(np.hypot(moved_u, moved_v).max()))
     # The longest arrow is as long as two of them are apart. Image rows count downwards.
     arrows = axes.quiver(
         u.ravel(),
@@ -161,7 +161,7 @@ def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> N
         scale_units="width",
         width=0.0018,
     )
-    axes.quiverkey(arrows, 0.94, 1.08, LEAST_SCALE_PX, f"{LEAST_SCALE_PX:g} px", labelpos="E")
+    axes.quiverkey(arrows, 0.94, 1.08, MIN_SCALE_PX, f"{MIN_SCALE_PX:g} px", labelpos="E")
     axes.set_xlim(-0.03 * width_px, 1.03 * width_px)
     axes.set_ylim(1.08 * height_px, -0.08 * height_px)
     axes.grid(visible=False)

@@ -44,8 +44,8 @@ class ImuUse:
 
     @property
     def unused_from(self) -> int | None:
-        """Index of the frame from which on the IMU was not used; None if it was used to the end,
-        or never."""
+        """Index of the first frame after the IMU was last used; None if it was used to the end, or
+        never."""
         if not self._is_left_out or self._last_used is None:
             return None
         return self._last_used + 1

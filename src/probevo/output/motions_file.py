@@ -5,7 +5,6 @@ Its trajectory, evaluation and odometry bag all follow from this file.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from operator import attrgetter
@@ -26,8 +25,7 @@ from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.run_result import RunResult, SensorUse
-from probevo.storage.files import write_atomically
-from probevo.storage.npz import NO_NPZ, read_npz
+from probevo.storage.npz import NO_NPZ, read_npz, write_npz
 from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 
 ABOUT = (
@@ -166,10 +164,7 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays[_REJECTED + name.replace(" ", "_")] = np.array(count, dtype=np.int64)
     for name, count in result.unusable.items():
         arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
-    buffer = io.BytesIO()
-    # allow_pickle is not passed: NumPy 2.0 would store it as an array.
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write_atomically(path, buffer.getvalue())
+    write_npz(path, arrays)
 
 
 def read_motions(path: Path | str) -> RunResult:

@@ -29,41 +29,7 @@ NOTICEABLE_RATIO = 0.1
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
     """Describe a run, by the names of its facts."""
-    domain = (
-        {}
-        if result.out_of_domain is None
-        else {"Out of its domain": domain_text(result.out_of_domain)}
-    )
-    features = {}
-    if result.noise_factor is not None and (result.noise_factor != 1.0).any():
-        features["Noise of the features"] = feature_noise_text(result.noise_factor)
-    rig = {}
-    if result.jitter_sigma_rad is not None:
-        offset_px = sequence.camera.fu_px * float(result.jitter_sigma_rad[1])
-        rig["Rig"] = (
-            f"the right camera {jitter_text(result.jitter_sigma_rad)}, which moves all disparities"
-            f" of a frame by σ = {readable(offset_px)} px"
-        )
-    if is_noticeable(result.right_delay_s):
-        rig["Exposures"] = delay_text(result.right_delay_s)
-    if result.focal_length is not None and len(result) > 1:
-        rig["Focal length"] = focal_text(result.focal_length)
-    imu = {}
-    if result.imu_noise_factor is not None:
-        imu["Noise of the IMU"] = imu_noise_text(result.imu_noise_factor)
-    scale = {}
-    found = result.accelerometer_scale
-    if found is not None:
-        scale["Scale"] = f"{found.ratio:.3f} ± {found.sigma:.3f} of that by the accelerometer"
-    masks = {}
-    recording = sequence.frames if isinstance(sequence, WithoutImu) else sequence
-    if isinstance(recording, MaskedRecording):
-        masks["Masks"] = mask_text(recording)
-    height = {}
-    above = result.ground_height
-    if above is not None:
-        height["Height above the ground"] = height_text(above)
-    return {
+    facts = {
         "Recording": str(sequence.path),
         "Format": sequence.format,
         "Frames": frames_text(result.stamps_ns, len(sequence)),
@@ -72,18 +38,38 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
             sequence, config, left_out=result.imu_left_out, unused_from=result.imu_unused_from
         ),
         "Truth": truth_text(sequence.truth, len(result)),
-        **masks,
-        "Noise model": config.noise,
-        **features,
-        **rig,
-        **imu,
-        **domain,
-        **scale,
-        **height,
-        **{f"Sensor {name}": str(use) for name, use in result.sensors.items()},
-        "OpenCV threads": str(cv2.getNumThreads()),
-        "probevo": __version__,
     }
+    recording = sequence.frames if isinstance(sequence, WithoutImu) else sequence
+    if isinstance(recording, MaskedRecording):
+        facts["Masks"] = mask_text(recording)
+    facts["Noise model"] = config.noise
+    # What the run has found out about noise, rig, IMU and scale.
+    if result.noise_factor is not None and (result.noise_factor != 1.0).any():
+        facts["Noise of the features"] = feature_noise_text(result.noise_factor)
+    if result.jitter_sigma_rad is not None:
+        offset_px = sequence.camera.fu_px * float(result.jitter_sigma_rad[1])
+        facts["Rig"] = (
+            f"the right camera {jitter_text(result.jitter_sigma_rad)}, which moves all disparities"
+            f" of a frame by σ = {readable(offset_px)} px"
+        )
+    if is_noticeable(result.right_delay_s):
+        facts["Exposures"] = delay_text(result.right_delay_s)
+    if result.focal_length is not None and len(result) > 1:
+        facts["Focal length"] = focal_text(result.focal_length)
+    if result.imu_noise_factor is not None:
+        facts["Noise of the IMU"] = imu_noise_text(result.imu_noise_factor)
+    if result.out_of_domain is not None:
+        facts["Out of its domain"] = domain_text(result.out_of_domain)
+    scale = result.accelerometer_scale
+    if scale is not None:
+        facts["Scale"] = f"{scale.ratio:.3f} ± {scale.sigma:.3f} of that by the accelerometer"
+    if result.ground_height is not None:
+        facts["Height above the ground"] = height_text(result.ground_height)
+    for name, use in result.sensors.items():
+        facts[f"Sensor {name}"] = str(use)
+    facts["OpenCV threads"] = str(cv2.getNumThreads())
+    facts["probevo"] = __version__
+    return facts
 
 
 def height_text(height: GroundHeight) -> str:
@@ -216,16 +202,19 @@ def imu_use_text(
         sequence: the recording.
         config: settings of a run.
         left_out: why the window did not use it in the end; None if it did, or before a run.
-        unused_from: index of the frame from which on it did not; None if it never did.
+        unused_from: index of the first frame after it last did; None if it never did.
     """
     if not config.imu:
         return "left out"
     if sequence.imu is None:
         return "none"
     uses = ["to start the tracking", "for dead reckoning where the camera is blind"]
-    uses += ["to reject features"] if config.gyro.prefilter_deg else []
-    uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
-    uses += ["in the solve"] if config.gyro.prior else []
+    if config.gyro.prefilter_deg:
+        uses.append("to reject features")
+    if config.ransac.rotation_from == "gyro":
+        uses.append("in RANSAC")
+    if config.gyro.prior:
+        uses.append("in the solve")
     gyro = f"gyro {', '.join(uses)}"
     if config.estimator == "window" and config.window.imu == "auto":
         if left_out:

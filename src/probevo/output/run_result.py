@@ -30,8 +30,26 @@ from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
 from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
 
-_COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
-"""Where the common-mode part lies in what a recorder keeps of a step."""
+_RECORD = np.dtype(
+    [
+        ("stamp_ns", np.int64),
+        ("T_world_cam", np.float64, (4, 4)),
+        ("pose_cov", np.float64, (6, 6)),
+        ("T_curr_prev", np.float64, (4, 4)),
+        ("cov", np.float64, (6, 6)),
+        ("common_mode", np.float64, (6, COMMON_MODE_COLUMNS)),
+        ("path_cross_cov", np.float64, (6, 6)),
+        ("noise_factor", np.float64),
+        ("total_ms", np.float64),
+        ("status", np.int64),
+        ("num_tracks", np.int64),
+        ("num_inliers", np.int64),
+        ("num_used", np.int64),
+        ("num_out_of_domain", np.int64),
+    ]
+)
+"""What a recorder keeps of a frame, as ``MotionEstimate`` and ``RunResult`` name it; −1 features
+out of domain stand for None."""
 STEPS_WITHOUT_IMU = "steps_without_imu"
 """Name of the steps without an IMU in ``RunResult.unusable``; with the fault behind it, of those
 that it caused."""
@@ -51,7 +69,7 @@ class SensorUse:
     excluded: int = 0
     """Steps after it was found to be faulty, including that one."""
     excluded_at: int | None = None
-    """Index of the frame from which on it is excluded; None if it is not."""
+    """Index of the first frame in which it is excluded; None if it is not."""
     reason: str | None = None
     """Why it is excluded."""
 
@@ -74,7 +92,8 @@ class SensorUse:
     def __str__(self) -> str:
         """Return it in one line."""
         parts = [f"{self.used:,} steps used it"]
-        parts += [f"{self.gated:,} turned it away"] if self.gated else []
+        if self.gated:
+            parts.append(f"{self.gated:,} turned it away")
         parts += [f"{count:,} without: {reason}" for reason, count in self.silent.items()]
         if self.excluded_at is not None:
             parts.append(f"excluded from frame {self.excluded_at} on: {self.reason}")
@@ -162,8 +181,8 @@ class RunResult:
     imu_fault: ImuFault | None = None
     """What kind of reason that is; None also in files of versions that did not store it."""
     imu_unused_from: int | None = None
-    """Index of the frame from which on the window did not use the IMU any more; None if it did at
-    the end, or never."""
+    """Index of the first frame after the window last used the IMU; None if it did at the end, or
+    never."""
     imu_noise_factor: float | None = None
     """By how much the variances of the IMU's samples exceed those of its calibration, as the window
     assumed at the end; None where it uses no IMU."""
@@ -324,19 +343,12 @@ class RunRecorder:
     """
 
     def __init__(self) -> None:
-        self._numbers = Rows(np.float64, _COMMON_MODE.stop + 36 + 2)
-        """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
-        self._counts = Rows(np.int64, 6)
-        """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
+        self._frames = Rows(_RECORD)
         self._stage_ms: dict[str, Rows] = {}
         self._rejected: Counter[str] = Counter()
         self._unusable: Counter[str] = Counter()
         self._sensors: dict[str, SensorUse] = {}
         self._imu = ImuUse()
-        self._poses = Rows(np.float64, 16)
-        """T_world_cam of each frame, where sensors correct it."""
-        self._pose_covs = Rows(np.float64, 36)
-        """Covariance of each of these."""
 
     def add(
         self,
@@ -357,40 +369,17 @@ class RunRecorder:
             imu_is_in_window: whether the poses of the window depend on an IMU
                 (``Inertial.is_used``).
         """
-        total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
-        self._numbers.add(
-            np.concatenate(
-                [
-                    motion.T_curr_prev.ravel(),
-                    motion.cov.ravel(),
-                    motion.common_mode.ravel(),
-                    motion.path_cross_cov.ravel(),
-                    [motion.noise_factor, total],
-                ]
-            )
-        )
-        outside = -1 if motion.num_out_of_domain is None else motion.num_out_of_domain
-        self._counts.add(
-            (
-                stamp_ns,
-                motion.status,
-                motion.num_tracks,
-                motion.num_inliers,
-                motion.num_used,
-                outside,
-            )
-        )
+        index = len(self._frames)
         # A stage that runs for the first time took 0 ms in the steps before. The first frame is no
         # step, and its stages do not count.
-        num_before = len(self._counts) - 1
-        if num_before > 0:
+        if index > 0:
             for name in motion.stage_ms:
                 if name not in self._stage_ms:
-                    self._stage_ms[name] = Rows(np.float64, 1, zeros=num_before)
+                    self._stage_ms[name] = Rows(np.float64, zeros=index)
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
-        self._imu.add(len(self._counts) - 1, motion.imu_reason, is_in_window=imu_is_in_window)
+        self._imu.add(index, motion.imu_reason, is_in_window=imu_is_in_window)
         if motion.imu_reason is not None:
             self._unusable[STEPS_WITHOUT_IMU] += 1
             self._unusable[f"{STEPS_WITHOUT_IMU}_{motion.imu_reason.fault.value}"] += 1
@@ -398,54 +387,66 @@ class RunRecorder:
             self._unusable[missing.defect.value] += missing.count
         for outcome in motion.sensors:
             use = self._sensors.get(outcome.name, SensorUse())
-            self._sensors[outcome.name] = use.and_then(outcome, len(self._counts) - 1)
-        self._pose_covs.add(motion.pose_cov.ravel())
-        self._poses.add(motion.T_world_cam.ravel())
+            self._sensors[outcome.name] = use.and_then(outcome, index)
+        record = np.zeros((), _RECORD)
+        record["stamp_ns"] = stamp_ns
+        record["T_world_cam"] = motion.T_world_cam
+        record["pose_cov"] = motion.pose_cov
+        record["T_curr_prev"] = motion.T_curr_prev
+        record["cov"] = motion.cov
+        record["common_mode"] = motion.common_mode
+        record["path_cross_cov"] = motion.path_cross_cov
+        record["noise_factor"] = motion.noise_factor
+        record["total_ms"] = sum(motion.stage_ms.values()) if total_ms is None else total_ms
+        record["status"] = motion.status
+        record["num_tracks"] = motion.num_tracks
+        record["num_inliers"] = motion.num_inliers
+        record["num_used"] = motion.num_used
+        outside = motion.num_out_of_domain
+        record["num_out_of_domain"] = -1 if outside is None else outside
+        self._frames.add(record)
 
     def result(self) -> RunResult:
         """Collect all that was recorded so far.
 
-        A frame counts once all of it is recorded; one at which ``add`` was interrupted does not.
+        A frame counts once its record is added, last of all; one at which ``add`` was interrupted
+        does not.
         """
-        num_frames = len(self._poses)  # its row is the last that is added
-        counts = self._counts.table()[:num_frames]
-        # The first frame has a stamp, but no motion.
-        stamps_ns = counts[:, 0].copy()
-        _, status, num_tracks, num_inliers, num_used, outside = counts[1:].T.copy()
-        numbers = self._numbers.table()[1:num_frames]
-        T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
+        frames = self._frames.table()
+        num_frames = len(frames)
+        # The first frame has a stamp and a pose, but no motion.
+        motions = frames[1:]
+        T_curr_prev = motions["T_curr_prev"].copy()
+        # The path is that of the motions, unless sensors have corrected the poses.
+        T_world_cam = se3.chain_motions(T_curr_prev)[:num_frames]
+        pose_cov = None
+        if self._sensors:
+            T_world_cam = frames["T_world_cam"].copy()
+            pose_cov = frames["pose_cov"].copy()
+        outside = motions["num_out_of_domain"]
         left_out = self._imu.left_out
         return RunResult(
-            stamps_ns=stamps_ns,
-            T_world_cam=self._path(T_curr_prev)[: len(counts)],
+            stamps_ns=frames["stamp_ns"].copy(),
+            T_world_cam=T_world_cam,
             T_curr_prev=T_curr_prev,
-            cov=numbers[:, 16:52].reshape(-1, 6, 6),
-            common_mode=numbers[:, _COMMON_MODE].reshape(-1, 6, COMMON_MODE_COLUMNS),
-            path_cross_cov=numbers[:, _COMMON_MODE.stop : -2].reshape(-1, 6, 6),
-            pose_cov=self._pose_covs.table()[:num_frames].reshape(-1, 6, 6)
-            if self._sensors
-            else None,
-            status=status,
-            num_tracks=num_tracks,
-            num_inliers=num_inliers,
+            cov=motions["cov"].copy(),
+            common_mode=motions["common_mode"].copy(),
+            path_cross_cov=motions["path_cross_cov"].copy(),
+            pose_cov=pose_cov,
+            status=motions["status"].copy(),
+            num_tracks=motions["num_tracks"].copy(),
+            num_inliers=motions["num_inliers"].copy(),
             stage_ms={
-                name: times_ms.table()[1:num_frames, 0] for name, times_ms in self._stage_ms.items()
+                name: times_ms.table()[1:num_frames] for name, times_ms in self._stage_ms.items()
             },
-            total_ms=numbers[:, -1].copy(),
+            total_ms=motions["total_ms"].copy(),
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
             sensors=dict(self._sensors),
             imu_left_out=None if left_out is None else left_out.text,
             imu_fault=None if left_out is None else left_out.fault,
             imu_unused_from=self._imu.unused_from,
-            noise_factor=numbers[:, -2].copy(),
-            num_used=num_used,
+            noise_factor=motions["noise_factor"].copy(),
+            num_used=motions["num_used"].copy(),
             num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
         )
-
-    def _path(self, T_curr_prev: FloatArray) -> FloatArray:
-        """Return T_world_cam of the frames, [N, 4, 4]: the motions compounded, unless sensors have
-        corrected the poses."""
-        if self._sensors:
-            return np.asarray(self._poses.table().reshape(-1, 4, 4))
-        return se3.chain_motions(T_curr_prev)

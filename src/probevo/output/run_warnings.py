@@ -16,15 +16,15 @@ from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
 from probevo.tracking.fixed_features import LEAST_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
-from probevo.tracking.left_right import FEWEST_MATCHES
+from probevo.tracking.left_right import MIN_MATCHES
 from probevo.tracking.tracks import OTHER_ROW
 
-MOST_REPEATED = 0.1
-"""Share of them from which on it is said."""
-FEWEST_OK = 0.5
+MAX_REPEATED = 0.1
+"""Share of frames with repeated images that brings a warning."""
+MIN_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
-MOST_UNSOLVED = 0.1
-"""Share of steps without a solve from which on it is said."""
+MAX_UNSOLVED = 0.1
+"""Share of steps without a solve that brings a warning."""
 MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
 MAX_ACCELEROMETER_ERROR = 0.03
@@ -32,23 +32,24 @@ MAX_ACCELEROMETER_ERROR = 0.03
 MAX_HEIGHT_ERROR = 0.03
 """Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
 MAX_STEP_ERROR = 0.25
-"""Error of the steps, as a share of their length, from which on the truth may be another one's."""
-LEAST_STEP_ERROR_M = 0.05
+"""Error of the steps, as a share of their length, beyond which the truth may be that of another
+recording."""
+MIN_STEP_ERROR_M = 0.05
 """Error that a coarse truth may have in a step, m."""
-MOST_AT_REST = 0.5
-"""Share of steps at rest from which on it is said what moves meanwhile; a vehicle that waits for
+MAX_AT_REST = 0.5
+"""Share of steps at rest above which moving features bring a warning; a vehicle that waits for
 crossing traffic moves most of the time."""
-FEWEST_FOR_SCALE = 5
-"""Least number of steps for the scale."""
+MIN_FOR_SCALE = 5
+"""Minimum number of steps for the scale."""
 SCALE_SIGMAS = 3.0
 """Standard errors of the scale beyond which it is not the noise of the steps or of the truth."""
 ROW_SIGMAS = 3.0
-"""Standard deviations of their prior beyond which errors of the rows are none that a rectification
-leaves: of KITTI, whose are the largest of the recordings here, they are 2.0 to 2.3."""
-MOST_FIXED = 0.01
-"""Share of the features that should have moved from which on those that have not are no chance.
-Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; and
-0.0004 of the features move before a camera at rest."""
+"""Errors of the rows, in standard deviations of their prior, that no rectification leaves. Those of
+KITTI, the largest of the recordings here, are 2.0 to 2.3."""
+MAX_FIXED = 0.01
+"""Share of features at rest, among those that should have moved, that is no longer due to chance.
+Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; before a
+camera at rest, 0.0004 of the features move."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -95,7 +96,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
 def status_warning(status: IntArray) -> str | None:
     """Warn if less than half of the steps, [N-1], are OK, and name the usual cause; else None."""
     num_ok = int(np.sum(status == Status.OK))
-    if num_ok >= FEWEST_OK * len(status):
+    if num_ok >= MIN_OK * len(status):
         return None
     return (
         f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable."
@@ -107,8 +108,8 @@ def unsolved_warning(status: IntArray) -> str | None:
     """Warn if a tenth of the steps, [N-1], are not solved, but most are OK; else None."""
     is_solved = (status == Status.OK) | (status == Status.RECOVERED)
     num_unsolved = int(np.sum(~is_solved))
-    is_usable = np.sum(status == Status.OK) >= FEWEST_OK * len(status)
-    if not is_usable or num_unsolved < max(1, MOST_UNSOLVED * len(status)):
+    is_usable = np.sum(status == Status.OK) >= MIN_OK * len(status)
+    if not is_usable or num_unsolved < max(1, MAX_UNSOLVED * len(status)):
         return None
     return (
         f"{num_unsolved:,} of {len(status):,} steps are dead-reckoned; the covariance says how"
@@ -129,7 +130,7 @@ def _usual_cause(status: IntArray) -> str:
 
 def repetition_warning(num_repeated: int, num_frames: int) -> str | None:
     """Warn if the images of so many frames repeat those before that it is no chance; else None."""
-    if num_repeated < max(1, MOST_REPEATED * num_frames):
+    if num_repeated < max(1, MAX_REPEATED * num_frames):
         return None
     return (
         f"The images of {num_repeated:,} of {num_frames:,} frames are those of the frame before, as"
@@ -172,7 +173,7 @@ def rows_warning(result: RunResult) -> str | None:
         )
     num_elsewhere = result.rejected.get(OTHER_ROW, 0)
     num_tracks = int(result.num_tracks.sum())
-    if num_elsewhere > max(num_tracks, FEWEST_MATCHES):
+    if num_elsewhere > max(num_tracks, MIN_MATCHES):
         found.append(
             f"{num_elsewhere:,} stereo matches look alike in other rows; {num_tracks:,} were"
             " tracked in the same one."
@@ -190,7 +191,7 @@ def rows_warning(result: RunResult) -> str | None:
 def fixed_warning(fixed: FixedFeatures | None) -> str | None:
     """Warn of features that stay where they are in both images while the camera moves; None if they
     are few."""
-    if fixed is None or fixed.num_fixed < FEWEST_MATCHES or fixed.share < MOST_FIXED:
+    if fixed is None or fixed.num_fixed < MIN_MATCHES or fixed.share < MAX_FIXED:
         return None
     u, v = fixed.center_px
     spread_u, spread_v = fixed.spread_px
@@ -206,10 +207,10 @@ def fixed_warning(fixed: FixedFeatures | None) -> str | None:
 
 def rest_warning(steps: StepsAtRest | None) -> str | None:
     """Warn of a path that stands still for most of the run while features pass; else None."""
-    if steps is None or steps.num_at_rest < MOST_AT_REST * max(steps.num_steps, 1):
+    if steps is None or steps.num_at_rest < MAX_AT_REST * max(steps.num_steps, 1):
         return None
     share = steps.num_passing / max(steps.num_features, 1)
-    if steps.num_passing < FEWEST_MATCHES or share < MOST_FIXED:
+    if steps.num_passing < MIN_MATCHES or share < MAX_FIXED:
         return None
     return (
         f"The path stands still in {steps.num_at_rest:,} of {steps.num_steps:,} steps, in which"
@@ -249,7 +250,7 @@ def imu_warning(
     Args:
         reason: why, a phrase that continues "the IMU …".
         fault: what kind of reason it is, if that is known.
-        unused_from: index of the frame from which on it was left out; None if it was never used.
+        unused_from: index of the first frame after it was last used; None if it never was.
     """
     if not reason:
         return None
@@ -314,7 +315,7 @@ def truth_warning(T_curr_prev: FloatArray, truth: FloatArray | None) -> str | No
         return None
     true_m = relative_motions(truth)[:, :3, 3]
     is_known = np.isfinite(true_m).all(axis=1)
-    if is_known.sum() < FEWEST_FOR_SCALE:
+    if is_known.sum() < MIN_FOR_SCALE:
         return None
     steps_m = T_curr_prev[is_known, :3, 3]
     off_m, length_m = _misfit(steps_m, true_m[is_known])
@@ -343,7 +344,7 @@ def _misfit(steps_m: FloatArray, true_m: FloatArray) -> tuple[float, float]:
 def _tolerance(length_m: float) -> float:
     """Return the error of steps whose median length is given that may be that of a coarse truth,
     m."""
-    return max(MAX_STEP_ERROR * length_m, LEAST_STEP_ERROR_M)
+    return max(MAX_STEP_ERROR * length_m, MIN_STEP_ERROR_M)
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
@@ -365,7 +366,7 @@ def step_length_warning(T_curr_prev: FloatArray, is_ok: BoolArray, truth: FloatA
     true ones as a whole; else None."""
     true_m = relative_motions(truth)[:, :3, 3]
     is_known = np.isfinite(true_m).all(axis=1) & is_ok
-    if is_known.sum() < FEWEST_FOR_SCALE:
+    if is_known.sum() < MIN_FOR_SCALE:
         return None
     true_m = true_m[is_known]
     steps_m = T_curr_prev[is_known, :3, 3]

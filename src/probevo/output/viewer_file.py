@@ -66,7 +66,7 @@ def _check_display(option: str) -> None:
     """Refuse to open a window where there is no display, such as on a server.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no display.
     """
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform == "linux" and not has_display:

@@ -10,7 +10,7 @@ from probevo.tracking.tracks import Tracks
 
 FLOOR_PX = 1e-2
 """Added to a standard deviation: no alignment is more precise than this."""
-MOST_PX = 10.0
+MAX_PX = 10.0
 """A larger standard deviation says no more than this: the windows have nothing in common."""
 
 
@@ -35,7 +35,7 @@ def alignment(tracks: Tracks) -> FloatArray:
         return np.full((len(tracks), 4), np.nan)
     # Variances of u and v in the left and in the right image, [N, 2 (image), 2 (u, v)]; what has
     # nothing in common has a variance of ∞, which is bounded.
-    variance = np.minimum(np.diagonal(cov_px2, axis1=2, axis2=3), MOST_PX**2)
+    variance = np.minimum(np.diagonal(cov_px2, axis1=2, axis2=3), MAX_PX**2)
     log_sigma = np.log(FLOOR_PX + np.sqrt(variance))
     # C_uv/√(C_uu C_vv) in the left image; without a finite covariance, or with a perfect match, no
     # direction differs from another, and it is 0.

@@ -12,7 +12,7 @@ from probevo.compiled import compiled
 from probevo.predictors.base import Needs, Predictor, Step
 
 MIN_FEATURES = 3
-"""Fewest features in the small window, the feature itself included, that have a variance."""
+"""Minimum number of features in the small window, the feature itself included, for a variance."""
 FLOOR_PX2 = 1e-2
 """Variance of the flow that the noise of tracking makes; smaller ones count as this."""
 SMALL_PX = 50.0

@@ -18,7 +18,7 @@ from probevo.evaluation.gyro_check import integrated_rotations
 from probevo.geometry import se3, so3
 from probevo.odometry import StereoOdometry
 from probevo.sequences.gyro_spikes import find_spikes
-from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
+from probevo.sequences.validation import MAX_FORCE_M_S2, MAX_RATE_RAD_S
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 MAX_STEPS = 60
 """Steps that are compared, from the start of the recording."""
 MIN_STEPS = 10
-"""Least number of steps for a comparison."""
+"""Minimum number of steps for a comparison."""
 MAX_DISAGREEMENT = 0.5
 """Median difference of the rotations, as a share of the rotation of a step, beyond which something
 is wrong. On KITTI it is 0.03 to 0.4, where tracks are poor; a misalignment of 1° adds 0.02."""
 MIN_ROTATION_RAD = 5e-3
-"""Least rotation of a step that the difference is compared with."""
+"""Smallest rotation of a step that the difference is compared with."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.01)
 """Time offsets that are tried."""
 DEGREES_PER_RADIAN = np.rad2deg(1.0)
@@ -105,14 +105,14 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
     recorded = np.r_[np.diff(stream.stamps_ns[1:-1]) > 1_000, True]
     rates_rad_s = stream.gyro_rad_s[1:-1][recorded]
     forces_m_s2 = stream.accel_m_s2[1:-1][recorded]
-    is_implausible = (np.abs(rates_rad_s) > LARGEST_RATE_RAD_S).any(axis=1)
-    num_forces = int((np.abs(forces_m_s2) > LARGEST_FORCE_M_S2).any(axis=1).sum())
+    is_implausible = (np.abs(rates_rad_s) > MAX_RATE_RAD_S).any(axis=1)
+    num_forces = int((np.abs(forces_m_s2) > MAX_FORCE_M_S2).any(axis=1).sum())
     of_all = f"of {len(rates_rad_s):,}"
     warnings = {
-        f"{of_all} have an angular rate over {LARGEST_RATE_RAD_S:g} rad/s; they are left out": int(
+        f"{of_all} have an angular rate over {MAX_RATE_RAD_S:g} rad/s; they are left out": int(
             is_implausible.sum()
         ),
-        f"{of_all} have a specific force over {LARGEST_FORCE_M_S2:g} m/s²; it is left out": (
+        f"{of_all} have a specific force over {MAX_FORCE_M_S2:g} m/s²; it is left out": (
             num_forces
         ),
         f"{of_all} are spikes of the gyro, and left out": _count_spikes(stream, frames_ns),
@@ -122,7 +122,7 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
 
 def _without_implausible_rates(stream: ImuStream) -> ImuStream:
     """Return the samples that the odometry would use."""
-    rows = (np.abs(stream.gyro_rad_s) <= LARGEST_RATE_RAD_S).all(axis=1)
+    rows = (np.abs(stream.gyro_rad_s) <= MAX_RATE_RAD_S).all(axis=1)
     return replace(
         stream,
         stamps_ns=stream.stamps_ns[rows],

@@ -43,7 +43,7 @@ def plot(
 
     Raises:
         InputError: there is no run, or one of fewer than two frames; names or truth do not fit; or
-            a folder is none of a run.
+            a folder is not that of a run.
     """
     # Only now: Matplotlib takes half a second.
     from probevo.output.comparison.comparison_plots import errors_figure, paths_figure

@@ -18,7 +18,7 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.inertial import Inertial
-from probevo.estimation.window.window import SmoothedPose, Window
+from probevo.estimation.window.window import Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
 from probevo.evaluation.metrics import Metrics
@@ -218,7 +218,7 @@ class _Records:
     timing: PairTiming
     """Whether left and right images belong to the same frames."""
     of_images: Rows
-    """Motions of the two-frame solves, [N, 16], to compare with the accelerometer."""
+    """Motions of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
     fixed: FixedFeatureCount
     """Features that do not move with the scene."""
     heights: GroundHeights
@@ -232,7 +232,7 @@ class _Records:
             pictures=_Pictures.spread_over(num_frames),
             smoothed=SmoothedPath(),
             timing=PairTiming(config.tracking),
-            of_images=Rows(np.float64, 16),
+            of_images=Rows(np.float64, (4, 4)),
             fixed=FixedFeatureCount(sequence.camera),
             heights=GroundHeights(sequence.camera, config.camera_height_m),
         )
@@ -244,7 +244,7 @@ class _Records:
         self.pictures.add(frame, odometry)
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
-        self.of_images.add(odometry.T_of_images.ravel())
+        self.of_images.add(odometry.T_of_images)
         if motion.status is Status.OK:
             self.fixed.add(odometry.tracks, motion.T_curr_prev)
         seen = odometry.tracks.subset(odometry.used)
@@ -294,15 +294,20 @@ class _Records:
 def _accelerometer_scale(
     sequence: Sequence, result: RunResult, of_images: Rows
 ) -> AccelerometerScale | None:
-    """Compare the path by the images alone, given by motions [N, 16] of which the first is that of
-    the first frame, with the samples of the recording, if it has them at their own rate."""
+    """Compare the path by the images alone with the samples of the recording, if it has them at
+    their own rate.
+
+    Args:
+        sequence: the recording.
+        result: the run.
+        of_images: a motion for each frame, [N, 4, 4]; that of the first one is the identity.
+    """
     stream = getattr(sequence, "imu_stream", None)
     if stream is None or sequence.imu is None or len(result) < 2:
         return None
-    motions = of_images.table().reshape(-1, 4, 4)
     return accelerometer_scale(
         result.stamps_ns,
-        se3.chain_motions(motions[1 : len(result)]),
+        se3.chain_motions(of_images.table()[1 : len(result)]),
         result.status == Status.OK,
         stream=stream,
         calibration=sequence.imu,
@@ -405,19 +410,24 @@ class SmoothedPoses(NamedTuple):
     """Covariance of the left perturbation of T_cam_world, [N, 6, 6], m and rad."""
 
 
+_SMOOTHED = np.dtype(
+    [("frame", np.int64), ("T_world_cam", np.float64, (4, 4)), ("cov", np.float64, (6, 6))]
+)
+"""A ``SmoothedPose``, 424 bytes."""
+
+
 class SmoothedPath:
-    """Collects the poses that leave the window, 424 bytes each."""
+    """Collects the poses that leave the window."""
 
     def __init__(self) -> None:
-        self._left = Rows(np.float64, 1 + 16 + 36)
-        """Index of the frame, T_world_cam, covariance."""
+        self._left = Rows(_SMOOTHED)
 
     def add(self, window: Window | None) -> None:
         """Take the poses that left the window in the last step; those taken before may be among
         them."""
         if window is not None:
             for pose in window.marginalized:
-                self._left.add(_smoothed_row(pose))
+                self._left.add(np.array((pose.frame, pose.T_world_cam, pose.cov), _SMOOTHED))
 
     def poses(
         self, window: Window | None, *, num_frames: int | None = None
@@ -430,22 +440,16 @@ class SmoothedPath:
         """
         if window is None:
             return None
-        in_window = [_smoothed_row(window.pose(slot)) for slot in range(len(window))]
-        rows = np.concatenate([self._left.table(), np.array(in_window)])
+        poses = [window.pose(slot) for slot in range(len(window))]
+        in_window = [(pose.frame, pose.T_world_cam, pose.cov) for pose in poses]
+        rows = np.concatenate([self._left.table(), np.array(in_window, _SMOOTHED)])
         # One row a frame, in their order: a blind frame leaves before those that features connect,
         # and a pose may have been added again.
-        frames, of_frame = np.unique(rows[:, 0], return_index=True)
+        frames, of_frame = np.unique(rows["frame"], return_index=True)
         if num_frames is not None:
             of_frame = of_frame[frames < num_frames]
         chosen = rows[of_frame]
-        return SmoothedPoses(
-            T_world_cam=chosen[:, 1:17].reshape(-1, 4, 4), cov=chosen[:, 17:].reshape(-1, 6, 6)
-        )
-
-
-def _smoothed_row(pose: SmoothedPose) -> FloatArray:
-    """Return the index of a pose's frame, its T_world_cam and its covariance, [53]."""
-    return np.concatenate([[pose.frame], pose.T_world_cam.ravel(), pose.cov.ravel()])
+        return SmoothedPoses(T_world_cam=chosen["T_world_cam"], cov=chosen["cov"])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.sequences.prepared_images import PreparedImages
 
 WHITE = 128
-"""Grey level of a mask from which on features are wanted."""
+"""Lowest grey level of a mask at which features are wanted."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from probevo.errors import InputError, brief
 from probevo.sequences.frame import WHITE, Frame, ImuSamples, StereoFeatures, size_text
 from probevo.sequences.text import INT64_LIMIT
 
-SHORTEST_STEP_NS = 1_000
+MIN_STEP_NS = 1_000
 """Shortest plausible time between two frames. Closer stamps must be in another unit."""
 
 
@@ -164,7 +164,7 @@ def check_order(prev: Frame, curr: Frame) -> None:
             " a new odometry from this frame."
         )
         raise InputError(where, what, cure)
-    if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
+    if curr.stamp_ns - prev.stamp_ns < MIN_STEP_NS:
         what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
     if curr.index <= prev.index:

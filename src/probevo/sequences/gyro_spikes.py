@@ -6,15 +6,15 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 
-LEAST_SPIKE_RAD_S = 0.5
-"""Least change of the rate within two samples that may be a spike."""
+MIN_SPIKE_RAD_S = 0.5
+"""Smallest change of the rate within two samples that may be a spike."""
 OVER_NEIGHBORS = 3.0
-"""Least ratio of a spike to the difference of its neighbours."""
+"""Smallest ratio of a spike to the difference of its neighbours."""
 OVER_USUAL = 8.0
-"""Least ratio of a spike to the typical differences in the interval, which vibrations make
+"""Smallest ratio of a spike to the typical differences in the interval, which vibrations make
 large."""
-FEWEST_SAMPLES = 5
-"""Least number of samples that tell what is usual."""
+MIN_SAMPLES = 5
+"""Minimum number of samples that tell what is usual."""
 
 
 def find_spikes(rates_rad_s: FloatArray) -> BoolArray:
@@ -29,7 +29,7 @@ def find_spikes(rates_rad_s: FloatArray) -> BoolArray:
     Returns:
         [J]; False everywhere for fewer than five samples.
     """
-    if len(rates_rad_s) < FEWEST_SAMPLES:
+    if len(rates_rad_s) < MIN_SAMPLES:
         return np.zeros(len(rates_rad_s), np.bool_)
     inner = rates_rad_s[1:-1] - 0.5 * (rates_rad_s[:-2] + rates_rad_s[2:])
     ends = np.stack(
@@ -46,6 +46,6 @@ def find_spikes(rates_rad_s: FloatArray) -> BoolArray:
             [np.linalg.norm(rates_rad_s[-3] - rates_rad_s[-2])],
         ]
     )
-    threshold = np.maximum(LEAST_SPIKE_RAD_S, OVER_USUAL * np.median(deviation))
+    threshold = np.maximum(MIN_SPIKE_RAD_S, OVER_USUAL * np.median(deviation))
     is_spike: BoolArray = deviation > np.maximum(threshold, OVER_NEIGHBORS * between_neighbors)
     return is_spike

@@ -26,9 +26,9 @@ JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD9)})
 """Markers without a segment behind them."""
 JPEG_PIXELS = 0xDA
 """Marker (SOS) of the segment that the pixels follow."""
-LARGEST_FILE_BYTES = 500_000_000
+MAX_FILE_BYTES = 500_000_000
 _TWO_FOLDERS = "Left and right images lie in one folder each; there is no monocular mode."
-LARGEST_PX = 100_000_000
+MAX_PX = 100_000_000
 """Pixels of the largest image that is decoded where its size is not known beforehand."""
 
 
@@ -64,7 +64,7 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(folder, "this image folder is missing.", _TWO_FOLDERS)
-    # Hidden files are none: macOS puts a ._img.png beside each img.png on foreign disks.
+    # Hidden files are no images: macOS puts a ._img.png beside each img.png on foreign disks.
     files = {
         path.name: path
         for path in folder.iterdir()
@@ -95,7 +95,7 @@ def read_gray(
 
     Args:
         path: an image file.
-        size_px: (width, height) that the image must have; None to accept any size up to LARGEST_PX.
+        size_px: (width, height) that the image must have; None to accept any size up to MAX_PX.
         gray_range: the range of 16-bit values that becomes 0 to 255; None to refuse such images.
 
     Raises:
@@ -145,7 +145,7 @@ def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None 
     Args:
         data: the bytes.
         where: the file or message that holds them, for messages.
-        size_px: (width, height) that the image must have; None to accept any size up to LARGEST_PX.
+        size_px: (width, height) that the image must have; None to accept any size up to MAX_PX.
 
     Raises:
         InputError: the image is damaged, claims another size, or has colours of floats.
@@ -184,7 +184,7 @@ def _read_bytes(path: Path) -> bytes:
     Raises:
         InputError: it is missing, too large, or not a regular file.
     """
-    check_regular(path, LARGEST_FILE_BYTES)
+    check_regular(path, MAX_FILE_BYTES)
     try:
         return path.read_bytes()
     except OSError as error:
@@ -211,8 +211,8 @@ def _check_size(
             " were scaled since, give --resized."
         )
         raise InputError(where, what, cure)
-    if width * height > LARGEST_PX:
-        what = f"this image has {width}×{height} px; at most {LARGEST_PX:,} px are decoded."
+    if width * height > MAX_PX:
+        what = f"this image has {width}×{height} px; at most {MAX_PX:,} px are decoded."
         raise InputError(where, what)
 
 

@@ -28,9 +28,9 @@ DENSITIES = (
     "accel_bias_walk_m_s3_sqrt_hz",
 )
 """The noise figures among the fields."""
-LARGEST_NOISE = 1e6
+MAX_NOISE = 1e6
 """Largest noise figure, in any of their units; it would be that of no sensor."""
-LARGEST_OFFSET_S = 4e9
+MAX_OFFSET_S = 4e9
 """Largest time offset: from 1900 to now, and stamps in ns that are shifted by it fit in 64 bits."""
 
 
@@ -73,12 +73,12 @@ class ImuCalibration:
         object.__setattr__(self, "T_cam_imu", np.asarray(self.T_cam_imu, np.float64))
         for name in DENSITIES:
             value = getattr(self, name)
-            if not (_is_number(value) and 0.0 <= value <= LARGEST_NOISE):
-                cure = f"It must be a finite number from 0 to {LARGEST_NOISE:g}."
+            if not (_is_number(value) and 0.0 <= value <= MAX_NOISE):
+                cure = f"It must be a finite number from 0 to {MAX_NOISE:g}."
                 raise InputError(name, f"is {value}.", cure)
-        if not (_is_number(self.time_offset_s) and abs(self.time_offset_s) <= LARGEST_OFFSET_S):
+        if not (_is_number(self.time_offset_s) and abs(self.time_offset_s) <= MAX_OFFSET_S):
             what = f"is {self.time_offset_s}."
-            cure = f"It must be a finite number of seconds, at most {LARGEST_OFFSET_S:g}."
+            cure = f"It must be a finite number of seconds, at most {MAX_OFFSET_S:g}."
             raise InputError("time_offset_s", what, cure)
 
     @property

@@ -84,7 +84,7 @@ def _unfilter(rows: AnyArray, image: Image) -> bool:
         image: receives the pixels, [height, width].
 
     Returns:
-        False if a filter is none of the five of PNG.
+        False if a filter is not one of the five of PNG.
     """
     height, width = image.shape
     zeros = np.zeros(width, np.uint8)

@@ -11,10 +11,10 @@ from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import GroundTruth
 
-LONGEST_GAP_NS = 500_000_000
+MAX_GAP_NS = 500_000_000
 """Longest gap over which truth is interpolated. The slowest common source, OXTS in sync drives, has
 a pose every 0.1 s."""
-LONGEST_EXTRAPOLATION_NS = 50_000_000
+MAX_EXTRAPOLATION_NS = 50_000_000
 """Longest extrapolation beyond the first and last pose, which is half of their own interval:
 half a period of that source."""
 
@@ -92,8 +92,8 @@ def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> Fl
     poses = se3.from_parts(C, t_start + fraction * (T[end][:, :3, 3] - t_start))
 
     is_at_pose = (at_ns == stamps_ns[start]) | (at_ns == stamps_ns[end])
-    is_in_gap = (gap_ns > LONGEST_GAP_NS) & ~is_at_pose
+    is_in_gap = (gap_ns > MAX_GAP_NS) & ~is_at_pose
     beyond_ns = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1])
-    is_beyond = beyond_ns > np.minimum(gap_ns // 2, LONGEST_EXTRAPOLATION_NS)
+    is_beyond = beyond_ns > np.minimum(gap_ns // 2, MAX_EXTRAPOLATION_NS)
     poses[is_in_gap | is_beyond] = np.nan
     return poses

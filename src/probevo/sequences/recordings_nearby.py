@@ -1,4 +1,4 @@
-"""Recordings in the folders below, and above, one that is none, for the message that refuses it."""
+"""Recordings below and above a folder that is no recording, for the message that refuses it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ DEEPEST = 3
 """Folders below the given one that are searched; KITTI raw is two deep, below the date."""
 HIGHEST = 3
 """Folders above the given one that are looked at; the images of EuRoC are three deep, in mav0."""
-MOST_LOOKED_AT = 1000
+MAX_LOOKED_AT = 1000
 """Files and folders after which the search ends: a home folder would take minutes."""
-MOST_NAMED = 4
+MAX_NAMED = 4
 
 
 class Recogniser(Protocol):
@@ -44,7 +44,7 @@ def recordings_below(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
         following = []
         for entry in (entry for folder in level for entry in _entries(folder)):
             looked_at += 1
-            if looked_at > MOST_LOOKED_AT:
+            if looked_at > MAX_LOOKED_AT:
                 return found
             if any(known.recognises(entry) for known in likely):
                 found.append(entry)
@@ -79,8 +79,8 @@ def suggestion(found: list[Path]) -> str:
     """Return what a message says of the recordings near a folder."""
     if len(found) == 1:
         return f"Did you mean {found[0]}?"
-    names = ", ".join(str(path) for path in found[:MOST_NAMED])
-    more = len(found) - MOST_NAMED
+    names = ", ".join(str(path) for path in found[:MAX_NAMED])
+    more = len(found) - MAX_NAMED
     return f"Did you mean one of {names}{f' and {more} more below it' if more > 0 else ''}?"
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ENTRY_POINTS = "probevo.formats"
 """Group of the entry points by which other packages add formats."""
-MOST_NAMES = 8
+MAX_NAMES = 8
 """Entries of an unrecognised folder that its message lists."""
 
 
@@ -438,7 +438,7 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     above = recordings_above(path, formats.values())
     if above:
         raise InputError(path, "this folder is part of a recording.", suggestion(above))
-    found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
+    found = sorted(entry.name for entry in path.iterdir())[:MAX_NAMES]
     looked_for = [
         f"{' or '.join(_signs_in_words(known))} ({known.name})"
         for known in formats.values()

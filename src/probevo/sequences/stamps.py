@@ -18,8 +18,8 @@ NS_OF_DIGITS = {13: 1_000_000, 16: 1_000, 19: 1}
 """Unit of a whole Unix time by its number of digits, which holds from 2001 to 2286."""
 SECONDS_DIGITS = 10
 """Digits of a Unix time in seconds, in the same years."""
-SMALLEST_EXPONENT = -100
-LARGEST_EXPONENT = 9
+MIN_EXPONENT = -100
+MAX_EXPONENT = 9
 """Powers of ten of the smallest plausible time other than 0, s, and of the largest that int64 ns
 hold, 9.2e9 s."""
 
@@ -28,7 +28,7 @@ RATE_TOLERANCE = 0.1
 cheap clock differ by less, a wrong rate by more."""
 GAP_FACTOR = 1.5
 """An interval longer than this many median ones is a gap."""
-MOST_DIGITS_OF_COUNT = 9
+MAX_DIGITS_OF_COUNT = 9
 """Longer numbers are no counts of frames."""
 
 
@@ -113,7 +113,7 @@ def spaced_by_number(files: list[Path], rate_hz: float) -> IntArray:
     """
     names = [file.stem for file in files]
     numbers = np.arange(len(files))
-    if all(name.isdecimal() and len(name) <= MOST_DIGITS_OF_COUNT for name in names):
+    if all(name.isdecimal() and len(name) <= MAX_DIGITS_OF_COUNT for name in names):
         counted = np.array([int(name) for name in names])
         counts_by_one = len(files) > 1 and np.median(np.diff(counted)) == 1.0
         if counts_by_one and (np.diff(counted) > 0).all():
@@ -185,7 +185,7 @@ def _finite(text: str, where: str) -> Decimal:
     """Parse a finite decimal number.
 
     Raises:
-        InputError: the text is none.
+        InputError: the text is no such number.
     """
     try:
         number = Decimal(text)
@@ -195,7 +195,7 @@ def _finite(text: str, where: str) -> Decimal:
         raise InputError(where, f"the time {brief(text)} is not a finite number of seconds.")
     if not number:
         return Decimal(0)  # whatever its exponent is
-    if number.adjusted() < SMALLEST_EXPONENT:
+    if number.adjusted() < MIN_EXPONENT:
         raise InputError(where, f"the time {brief(text)} is too small for a number of seconds.")
     return number
 
@@ -207,7 +207,7 @@ def _to_ns(seconds: Decimal, where: str, text: str, *, cure: str) -> int:
         InputError: the result does not fit in 64 bits.
     """
     # The exponent first: the product of a huge Decimal overflows, too.
-    if seconds.adjusted() > LARGEST_EXPONENT or abs(seconds * NS_PER_S) >= INT64_LIMIT:
+    if seconds.adjusted() > MAX_EXPONENT or abs(seconds * NS_PER_S) >= INT64_LIMIT:
         raise InputError(
             where, f"the time {brief(text)} is too large for a number of seconds.", cure
         )
@@ -218,7 +218,7 @@ def _datetime_to_ns(text: str, where: str) -> int:
     """Parse a date and time to ns since 1970.
 
     Raises:
-        InputError: the text is none.
+        InputError: the text is no date and time.
     """
     try:
         moment: np.datetime64 = np.datetime64(text, "ns")

@@ -14,11 +14,11 @@ from probevo.storage.files import check_regular
 INT64_LIMIT = 2**63
 IMU_COLUMNS = 6
 """Values of an IMU sample: angular rate and specific force."""
-LARGEST_TEXT_BYTES = 1_000_000_000
+MAX_TEXT_BYTES = 1_000_000_000
 """Ten hours of an IMU at 200 Hz take 0.7 GB."""
 
 
-def read_text(path: Path, cure: str = "", *, most_bytes: int = LARGEST_TEXT_BYTES) -> str:
+def read_text(path: Path, cure: str = "", *, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """Read a UTF-8 text file.
 
     Args:
@@ -82,7 +82,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
     """Parse a whole number of nanoseconds.
 
     Raises:
-        InputError: the text is none, or the number does not fit in 64 bits.
+        InputError: the text is no whole number, or it does not fit in 64 bits.
     """
     try:
         stamp = int(text)

@@ -15,11 +15,11 @@ from probevo.sequences.gyro_spikes import find_spikes
 from probevo.sequences.missing_data import Defect, MissingData
 from probevo.sequences.text import INT64_LIMIT
 
-LARGEST_RATE_RAD_S = 2e3
+MAX_RATE_RAD_S = 2e3
 """Largest plausible angular rate: 30 times the range of the fastest MEMS gyros, 4000 °/s."""
-LARGEST_FORCE_M_S2 = 1e6
+MAX_FORCE_M_S2 = 1e6
 """Largest plausible specific force: ten times the range of accelerometers for shocks, 10⁴ g."""
-LARGEST_PIXEL_PX = 1e6
+MAX_PIXEL_PX = 1e6
 """Largest plausible coordinate of a feature: ten times the width of the largest images."""
 
 
@@ -48,7 +48,7 @@ def validated(
     missing: list[MissingData] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
-        has_gyro = are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
+        has_gyro = are_within(imu.gyro_rad_s, MAX_RATE_RAD_S)
         if not has_gyro.all():
             missing += _left_out(
                 imu.gyro_rad_s,
@@ -61,7 +61,7 @@ def validated(
         if is_spike.any():
             missing.append(MissingData(Defect.RATE_IS_SPIKE, int(is_spike.sum()), len(is_spike)))
             imu = _kept(imu, ~is_spike)
-        has_force = are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+        has_force = are_within(imu.accel_m_s2, MAX_FORCE_M_S2)
         if not has_force.all():
             # An IMU without an accelerometer has no specific force at all: that is not a fault.
             if np.isfinite(imu.accel_m_s2).all(axis=1).any():
@@ -75,7 +75,7 @@ def validated(
         frame = replace(frame, imu=imu)
     features = frame.features
     if features is not None and features.pixels.shape == (len(features.ids), 4):
-        is_plausible = are_within(features.pixels, LARGEST_PIXEL_PX)
+        is_plausible = are_within(features.pixels, MAX_PIXEL_PX)
         if not is_plausible.all():
             missing += _left_out(
                 features.pixels,
@@ -148,7 +148,7 @@ def usable_imu(frame: Frame) -> ImuSamples | None:
         return None
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None
-    return _kept(imu, are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S))
+    return _kept(imu, are_within(imu.gyro_rad_s, MAX_RATE_RAD_S))
 
 
 def _check_kind(

@@ -16,12 +16,12 @@ from probevo.sequences.text import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 MERGE = "tag:yaml.org,2002:merge"
-LARGEST_BYTES = 64_000
+MAX_BYTES = 64_000
 """Ten times the largest file that probevo writes; PyYAML needs more than a second to read it."""
-LARGEST_CONTENT = 100_000
+MAX_CONTENT = 100_000
 """Values of a file, where an alias counts as often as it is used: nine lists of nine aliases each,
 one in the other, would be 387 million."""
-MOST_FAULTS = 8
+MAX_FAULTS = 8
 """Wrong keys that a message names."""
 
 
@@ -63,8 +63,8 @@ def validated(content: object, model: type[Model], path: Path, cure: str = "") -
             f"{brief('.'.join(map(str, fault['loc'])) or 'content')[1:-1]}: {fault['msg']}"
             for fault in error.errors()
         ]
-        if len(faults) > MOST_FAULTS:
-            faults[MOST_FAULTS:] = [f"and {len(faults) - MOST_FAULTS} more"]
+        if len(faults) > MAX_FAULTS:
+            faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
         raise InputError(path, "; ".join(faults) + ".", cure) from error
 
 
@@ -80,7 +80,7 @@ def load_yaml(path: Path, cure: str = "", *, loader: type[yaml.SafeLoader] | Non
         InputError: the file is missing, too large, not text, or not YAML; a key is given twice, or
             a value is invalid (such as a 99th of May); or its aliases expand without end.
     """
-    text = read_text(path, cure, most_bytes=LARGEST_BYTES)
+    text = read_text(path, cure, most_bytes=MAX_BYTES)
     # OpenCV's header, which EuRoC's files have, is not valid YAML.
     if text.startswith("%YAML:"):
         text = text.partition("\n")[2]
@@ -141,18 +141,18 @@ def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
         sizes: sizes of nodes that are known already; receives this one.
 
     Raises:
-        yaml.YAMLError: there are more than LARGEST_CONTENT, or the node contains itself.
+        yaml.YAMLError: there are more than MAX_CONTENT, or the node contains itself.
     """
     if isinstance(node, yaml.ScalarNode):
         return 1
     if node not in sizes:
-        sizes[node] = LARGEST_CONTENT  # for a node that contains itself
+        sizes[node] = MAX_CONTENT  # for a node that contains itself
         parts = (
             chain.from_iterable(node.value) if isinstance(node, yaml.MappingNode) else node.value
         )
         sizes[node] = 1 + sum(_expanded_size(part, sizes) for part in parts)
-    if sizes[node] > LARGEST_CONTENT:
+    if sizes[node] > MAX_CONTENT:
         raise yaml.constructor.ConstructorError(
-            None, None, f"it expands to more than {LARGEST_CONTENT:,} values", node.start_mark
+            None, None, f"it expands to more than {MAX_CONTENT:,} values", node.start_mark
         )
     return sizes[node]

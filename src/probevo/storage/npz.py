@@ -1,21 +1,23 @@
-"""Reading of ``.npz`` archives that may be damaged, or claim more than they hold."""
+"""``.npz`` archives: written whole, and read although they may be damaged, or claim more than they
+hold."""
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.lib import format as npy
 
 from probevo.arrays import AnyArray
-from probevo.storage.files import NO_ARCHIVE, check_regular
+from probevo.storage.files import NO_ARCHIVE, check_regular, write_atomically
 
-LARGEST_FILE_BYTES = 100_000_000_000
-LARGEST_ARRAY_BYTES = 1 << 31
+MAX_FILE_BYTES = 100_000_000_000
+MAX_ARRAY_BYTES = 1 << 31
 """67 million observations, those of four hours at 10 Hz and 450 features a frame."""
 END_BYTES = 22
 """Size of the record that ends an archive, without its comment."""
@@ -27,6 +29,19 @@ NO_NPZ = (*NO_ARCHIVE, RuntimeError)
 """The exceptions of ``read_npz``; a RuntimeError is an encrypted member, or nested too deeply."""
 
 
+def write_npz(path: Path, arrays: Mapping[str, AnyArray], *, is_compressed: bool = False) -> None:
+    """Write arrays by their names, completely or not at all; the same arrays give the same bytes.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    save = np.savez_compressed if is_compressed else np.savez
+    # allow_pickle is not passed: NumPy 2.0 would store it as an array.
+    save(buffer, **arrays)  # type: ignore[arg-type]
+    write_atomically(path, buffer.getvalue())
+
+
 def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyArray]:
     """Read arrays of an archive, without unpickling anything.
 
@@ -34,13 +49,13 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyA
 
     Args:
         path: the file.
-        names: arrays to read, those of them that exist; None for all.
+        names: arrays to read, as far as they exist; None for all.
 
     Raises:
         InputError: the file is not a regular one.
         OSError, ValueError and the others of NO_NPZ: it is no archive of plain arrays.
     """
-    check_regular(path, LARGEST_FILE_BYTES)
+    check_regular(path, MAX_FILE_BYTES)
     with zipfile.ZipFile(path) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         _check_directory(path, archive)
@@ -82,7 +97,7 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> AnyArray:
         claimed = math.prod(shape) * dtype.itemsize
         if claimed != member.file_size - stream.tell():
             raise ValueError(f"{member.filename} is not as large as its shape {shape} says")
-        if claimed > LARGEST_ARRAY_BYTES:
+        if claimed > MAX_ARRAY_BYTES:
             raise ValueError(f"{member.filename} has {claimed:,} bytes")
     with archive.open(member) as stream:
         return np.asarray(npy.read_array(stream, allow_pickle=False))

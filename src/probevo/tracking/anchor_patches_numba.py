@@ -39,9 +39,9 @@ MAX_STEP_SCALE = 2.0
 """Bounds of the factor of a Gauss–Newton step. Steps are shortened if they oscillate, and
 lengthened if the image has less contrast than the patch, when successive steps have the same
 direction."""
-LEAST_STEP_DETERMINANT = 0.25
-"""Least determinant of I + S of one step: so large a change is none to which the patch is
-linear."""
+MIN_STEP_DETERMINANT = 0.25
+"""Smallest determinant of I + S of one step: the patch is not linear in a larger
+change."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
@@ -602,7 +602,7 @@ def _add_prior(prior: float, A: FloatArray, predicted: FloatArray, gradient: Flo
 def _compose_inverse(A: FloatArray, step: FloatArray) -> bool:
     """Set A ← A (I + S)⁻¹ for step = (t, S); False if the step shrinks the patch too much."""
     determinant = (1.0 + step[2]) * (1.0 + step[5]) - step[3] * step[4]
-    if not determinant > LEAST_STEP_DETERMINANT:
+    if not determinant > MIN_STEP_DETERMINANT:
         return False
     # (I + S)⁻¹ = [[1 + s₃, −s₁], [−s₂, 1 + s₀]] / det, with (s₀, s₁, s₂, s₃) = step[2:]
     for i in range(2):

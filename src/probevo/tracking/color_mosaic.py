@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from probevo.arrays import Image
 
-LEAST_DIFFERENCE = 0.03
-"""Relative difference of mean grey levels from which on an image counts as a mosaic. Grey images of
+MIN_DIFFERENCE = 0.03
+"""Relative difference of mean grey levels above which an image counts as a mosaic. Grey images of
 six recordings have 0.004 at most; filters of red, green and blue differ by a third and more on
 anything that is not grey."""
 

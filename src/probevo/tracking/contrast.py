@@ -15,23 +15,21 @@ import numpy as np
 
 from probevo.sequences.prepared_images import Pyramid
 
-LEAST_GAIN = 1.25
+MIN_GAIN = 1.25
 """Ratio of the contrasts that counts as an exposure jump. Without one, it is at most 1.15 from
 frame to frame on KITTI, Karlsruhe and EuRoC."""
-LEAST_GAIN_IN_STEREO = 1.15
+MIN_GAIN_IN_STEREO = 1.15
 """Ratio of the contrasts that counts as different exposures of the two cameras. With equal ones,
 what only one of them sees makes it at most 1.09 on KITTI, Karlsruhe and EuRoC."""
-LARGEST_GAIN = 8.0
+MAX_GAIN = 8.0
 """At a larger ratio, one of the two images is practically black or white."""
 
 
-def with_contrast_of(
-    template: Pyramid, image: Pyramid, *, least_gain: float = LEAST_GAIN
-) -> Pyramid:
+def with_contrast_of(template: Pyramid, image: Pyramid, *, least_gain: float = MIN_GAIN) -> Pyramid:
     """Return the template with mean and contrast of the image.
 
     It is returned unchanged if it is empty, or if the ratio of the contrasts is not between
-    ``least_gain`` and LARGEST_GAIN.
+    ``least_gain`` and MAX_GAIN.
 
     Args:
         template: pyramid of the image that is adapted.
@@ -44,7 +42,7 @@ def with_contrast_of(
     mean, contrast = _mean_and_contrast(image)
     template_mean, template_contrast = _mean_and_contrast(template)
     gain = contrast / template_contrast if template_contrast > 0.0 else 1.0
-    if not least_gain < symmetric_gain(gain) < LARGEST_GAIN:
+    if not least_gain < symmetric_gain(gain) < MAX_GAIN:
         return template
     offset = mean - gain * template_mean
     return tuple(

@@ -26,7 +26,7 @@ from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
 BORDER_PX = 5.0
 """Nearer to the border, too much of the window lies outside of the image."""
-LARGEST_DISPARITY = 0.25
+MAX_DISPARITY = 0.25
 """Largest disparity at which a new corner is searched, in widths of the image.
 
 With ordinary lenses, it is that of a depth of two to three baselines."""
@@ -387,7 +387,7 @@ class ImageTracker:
             images.left[level],
             images.right[level],
             scale * left_px[lost],
-            reach_px=round(LARGEST_DISPARITY * width_px),
+            reach_px=round(MAX_DISPARITY * width_px),
             window_px=self._config.window_px,
         )
         is_unique = np.isfinite(disparity_px)

@@ -16,9 +16,9 @@ from probevo.tracking.tracks import Tracks
 
 FRAMES_TO_SEE = 3
 """Number of steps whose matches are counted before the check."""
-FEWEST_MATCHES = 30
+MIN_MATCHES = 30
 """With fewer matches, nothing is decided."""
-MOST_BEHIND = 0.8
+MAX_BEHIND = 0.8
 """Share of matches with negative disparity beyond which the images count as swapped.
 
 It is over 0.9 for swapped recordings of KITTI and EuRoC, under 0.01 for correct ones, and one half
@@ -51,7 +51,7 @@ def count_matches(tracks: Tracks) -> tuple[int, int]:
 def looks_swapped(num_positive: int, num_negative: int) -> bool:
     """Tell whether so many matches of positive and negative disparity mean swapped images."""
     num_matches = num_positive + num_negative
-    return num_matches >= FEWEST_MATCHES and num_negative > MOST_BEHIND * num_matches
+    return num_matches >= MIN_MATCHES and num_negative > MAX_BEHIND * num_matches
 
 
 def are_identical(frame: Frame) -> bool:
@@ -95,7 +95,7 @@ class LeftRightCheck:
         if self._num_seen <= self._decides_at:
             return
         # Images without matches, such as black ones, may differ later on.
-        if self._are_identical and self._num_positive + self._num_negative >= FEWEST_MATCHES:
+        if self._are_identical and self._num_positive + self._num_negative >= MIN_MATCHES:
             raise IdenticalImagesError(
                 self._recording,
                 f"left and right images are identical in the first {self._num_seen} frames.",

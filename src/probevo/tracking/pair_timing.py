@@ -22,9 +22,9 @@ OFFSETS = (-2, -1, 0, 1, 2)
 """Frames from a left image to the right images that it is compared with."""
 EVERY_FRAMES = 2
 """Frames between two comparisons."""
-MOST_COMPARISONS = 40
+MAX_COMPARISONS = 40
 """Comparisons after which the check gives up, as with a camera at rest."""
-FEWEST_VOTES = 5
+MIN_VOTES = 5
 """Comparisons with a clear result that a decision needs."""
 ENOUGH_VOTES = 8
 """Comparisons with a clear result after which no more are made."""
@@ -33,7 +33,7 @@ UNANIMOUS = 0.8
 CLEAR_RATIO = 1.5
 """Factor by which the rows of the best right image agree better than those of any other; it is
 less for a camera at rest."""
-FEWEST_MATCHES = 20
+MIN_MATCHES = 20
 MAX_FORWARD_BACKWARD_PX = 0.5
 """Largest distance between a point and where tracking to the right image and back ends."""
 FIT_ITERATIONS = 15
@@ -53,13 +53,13 @@ class PairTiming:
     def is_decided(self) -> bool:
         """Whether further frames change nothing."""
         has_enough = len(self._votes) >= ENOUGH_VOTES
-        return has_enough or self._num_comparisons >= MOST_COMPARISONS
+        return has_enough or self._num_comparisons >= MAX_COMPARISONS
 
     @property
     def right_late_frames(self) -> int:
         """Frames by which the right images are late, up to 2; negative if the left ones are, and 0
         also where nothing is known."""
-        if len(self._votes) < FEWEST_VOTES:
+        if len(self._votes) < MIN_VOTES:
             return 0
         for offset in OFFSETS:
             if self._votes.count(offset) >= UNANIMOUS * len(self._votes):
@@ -105,7 +105,7 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
     forward_backward_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
     is_match = np.isfinite(found.difference) & np.isfinite(back.difference)
     is_match &= forward_backward_px < MAX_FORWARD_BACKWARD_PX
-    if is_match.sum() < FEWEST_MATCHES:
+    if is_match.sum() < MIN_MATCHES:
         return np.inf
     return _scatter(left_px[is_match], (found.pixels - left_px)[is_match, 1])
 

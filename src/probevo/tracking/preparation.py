@@ -18,7 +18,7 @@ from probevo.config import TrackingConfig
 from probevo.sequences.frame import WHITE, Frame
 from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
-from probevo.tracking.contrast import LEAST_GAIN_IN_STEREO, contrast_ratio, with_contrast_of
+from probevo.tracking.contrast import MIN_GAIN_IN_STEREO, contrast_ratio, with_contrast_of
 from probevo.tracking.detection import strongest_corners
 from probevo.tracking.lucas_kanade import build_pyramid
 from probevo.tracking.spline import spline_through
@@ -67,7 +67,7 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
     left = build_pyramid(high_pass(frame.left, config), config)
     right = build_pyramid(high_pass(frame.right, config), config)
     # Cameras with an exposure of their own: all that follows may compare grey levels.
-    right = with_contrast_of(right, left, least_gain=LEAST_GAIN_IN_STEREO)
+    right = with_contrast_of(right, left, least_gain=MIN_GAIN_IN_STEREO)
     left_usable = usable_places(frame.left_mask, config)
     return PreparedImages(
         left=left,
@@ -84,7 +84,7 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
 def right_contrast(left: Image, right: Image, config: TrackingConfig) -> float:
     """Return the contrast of a right image over that of the left one; NaN if that has none.
 
-    Cameras that are exposed alike have about 1 (``LEAST_GAIN_IN_STEREO``).
+    Cameras that are exposed alike have about 1 (``MIN_GAIN_IN_STEREO``).
     """
     return contrast_ratio(
         build_pyramid(high_pass(left, config), config),

@@ -17,7 +17,7 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 
-LEAST_SCALED_DEPTH = 0.05
+MIN_SCALED_DEPTH = 0.05
 """Ratio of new to old depth below which the motion of a point is not predicted."""
 
 
@@ -60,7 +60,7 @@ def move_surfaces(
     """
     # Where the features go: q = C m + ρ t, [3, N]; q_z is the new depth over the old one.
     moved_rays, _ = camera.moved_rays(pixels, T_b_a)
-    ahead: BoolArray = moved_rays[2] > LEAST_SCALED_DEPTH
+    ahead: BoolArray = moved_rays[2] > MIN_SCALED_DEPTH
     growth = 1.0 / np.where(ahead, moved_rays[2], 1.0)
     # Normalised coordinates in b; of points that are not ahead, they mean nothing.
     x = moved_rays[0] * growth

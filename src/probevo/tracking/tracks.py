@@ -18,7 +18,7 @@ from probevo.camera.stereo import StereoCamera
 OTHER_ROW = "rows differ"
 """Why a match is rejected whose window looks alike, but lies in another row of the right image."""
 NEW_ERROR_PX = 1.0
-"""Shift over the image from which on the error of a point is another one."""
+"""Shift over the image after which the error of a point is independent of the one before."""
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ import numpy as np
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.compiled import compiled
 
-LARGEST_RATIO = 0.8
-"""Ratio of the differences of the best and the second-best place, from which on a match is
-ambiguous; Lowe's."""
+MAX_RATIO = 0.8
+"""Ratio of the differences of the best and the second-best place above which a match is ambiguous
+(Lowe 2004)."""
 REACH_PX = 32
 """Distance along the row within which there must be no second place: Lucas–Kanade does not reach
 farther."""
@@ -141,4 +141,4 @@ def _is_best(squared: AnyArray, match: int, half: int) -> bool:
             second = min(second, squared[k])
     # The ratio is one of differences, which are squared here. Where both are zero, the texture
     # repeats exactly; without a second place, its difference is infinite.
-    return best < LARGEST_RATIO**2 * second
+    return best < MAX_RATIO**2 * second

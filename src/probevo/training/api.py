@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from collections.abc import Sequence as Collection
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import reduce
 from operator import add
@@ -38,11 +37,11 @@ HERE = Workers()
 
 
 def train_model(
-    recordings: Collection[Recording | str],
+    recordings: Sequence[Recording | str],
     settings: TrainSettings | Mapping[str, Any] | None,
     out: Path | str,
     on_progress: OnProgress | None = None,
-    own_predictors: Collection[Predictor] = (),
+    own_predictors: Sequence[Predictor] = (),
     *,
     workers: Workers = HERE,
 ) -> Path:
@@ -114,7 +113,7 @@ def _as_recordings(recordings: object) -> list[Recording]:
     """Return recordings, some of which may be named by a ``str``.
 
     Raises:
-        InputError: there is none, or it is no collection of recordings.
+        InputError: these are no recordings, or there are none.
     """
     cure = 'Give a list of recordings or of their folders, such as ["drive"].'
     if isinstance(recordings, str | Path) or not isinstance(recordings, Iterable):
@@ -129,7 +128,7 @@ def _as_recordings(recordings: object) -> list[Recording]:
 
 
 def _train(
-    sources: Collection[Source],
+    sources: Sequence[Source],
     settings: TrainSettings,
     out: Path,
     *,

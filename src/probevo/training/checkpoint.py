@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from probevo import __version__
 from probevo.arrays import AnyArray
@@ -18,7 +15,7 @@ from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.model_io import load_model, save_model
 from probevo.storage.files import remove_stale, write_atomically
 from probevo.storage.lock import LOCK
-from probevo.storage.npz import read_npz
+from probevo.storage.npz import read_npz, write_npz
 from probevo.training.lease import LEASE
 from probevo.training.probe.subsets import SubsetErrors
 from probevo.training.settings import TrainSettings
@@ -144,9 +141,7 @@ class Checkpoint:
         for k, (features, alphas) in enumerate(iteration):
             arrays[f"features_{k}"] = features
             arrays[f"alphas_{k}"] = alphas
-        buffer = io.BytesIO()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
-        write_atomically(self._iteration_path(number), buffer.getvalue())
+        write_npz(self._iteration_path(number), arrays)
 
     def em_model(self, number: int) -> LearnedNoiseModel | None:
         """Read the model after an EM iteration; None if it is not stored."""

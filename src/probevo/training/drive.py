@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, concatenated
-from probevo.storage.npz import read_npz
+from probevo.storage.npz import read_npz, write_npz
 from probevo.tracking.tracks import Tracks
 
 SINGLE = ("prev_px", "curr_px", "phi")
@@ -88,21 +87,23 @@ def joined(parts: Iterable[Drive]) -> Drive:
     return replace(concatenated(drives), first_of_step=np.concatenate([[0], np.cumsum(counts)]))
 
 
-def drive_bytes(drive: Drive) -> bytes:
-    """Return the content of an ``.npz`` file with the drive."""
+def save_drive(path: Path, drive: Drive) -> None:
+    """Write a drive as an ``.npz`` file, completely or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     arrays: dict[str, AnyArray] = {
         field.name: getattr(drive, field.name) for field in fields(Drive)
     }
     # Half the size; no array is computed with in single precision.
     for name in SINGLE:
         arrays[name] = arrays[name].astype(np.float32)
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    return buffer.getvalue()
+    write_npz(path, arrays)
 
 
 def load_drive(path: Path) -> Drive:
-    """Read a file that ``drive_bytes`` gave.
+    """Read a file that ``save_drive`` has written.
 
     Raises:
         KeyError, or one of ``NO_NPZ``: the file is damaged.

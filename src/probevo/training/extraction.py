@@ -26,10 +26,10 @@ from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 from probevo.training.sources import calibration
 
-MOST_STEPS = 1000
-"""Most steps of a part."""
-MOST_BYTES = 32_000_000
-"""Most bytes of a part on disk; a single step may be larger."""
+MAX_STEPS = 1000
+"""Largest number of steps in a part."""
+MAX_BYTES = 32_000_000
+"""Largest size of a part on disk; a single step may be larger."""
 
 
 class Extraction:
@@ -75,7 +75,7 @@ class Extraction:
         return self._digest.hexdigest()
 
     def __iter__(self) -> Iterator[Drive]:
-        """Yield the parts, each of at most MOST_STEPS and MOST_BYTES.
+        """Yield the parts, each of at most MAX_STEPS and MAX_BYTES.
 
         Raises:
             InputError: the recording is faulty, its left and right images are swapped, it lacks
@@ -91,7 +91,7 @@ class Extraction:
 
             # Begin a new part where this step would make the current one too large.
             step_bytes = _bytes(self._odometry.phi)
-            is_full = len(part) == MOST_STEPS or part_bytes + step_bytes > MOST_BYTES
+            is_full = len(part) == MAX_STEPS or part_bytes + step_bytes > MAX_BYTES
             if len(part) and is_full:
                 yield part.drive()
                 part = _Part(first_step=part.first_step + len(part))

@@ -6,8 +6,7 @@ Workers in other processes report their progress in files.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from collections.abc import Sequence as Collection
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -44,8 +43,8 @@ class _Task:
 
 
 def record_all(
-    sources: Collection[Source],
-    drives: Collection[DriveOnDisk],
+    sources: Sequence[Source],
+    drives: Sequence[DriveOnDisk],
     space: PredictionSpace,
     settings: TrainSettings,
     *,
@@ -154,7 +153,7 @@ def _record_elsewhere(task: _Task) -> None:
 
 
 @contextmanager
-def _reported(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
+def _reported(tasks: Sequence[_Task], on_frames: OnFrames) -> Iterator[None]:
     """Report the progress of all workers from another thread, and once more at the end."""
     is_over = Event()
 

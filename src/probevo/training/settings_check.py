@@ -12,7 +12,7 @@ from probevo.training.trainer import trainer_of
 
 OF_SENSORS = ("kind", "nets", "max_frames")
 """Fields of ``TrainSettings`` that the training of a sensor uses."""
-FEWEST_IN_ENSEMBLE = 2
+MIN_IN_ENSEMBLE = 2
 """Networks whose estimates have a spread."""
 
 
@@ -82,9 +82,9 @@ def check_sensor_settings(settings: TrainSettings) -> None:
             flag = "--nets." + name.replace("_", "-")
             raise InputError(flag, f"--kind {kind.name} does not take it.", "Leave it out.")
     method = settings.nets.method
-    if method == "ensemble" and settings.nets.networks < FEWEST_IN_ENSEMBLE:
+    if method == "ensemble" and settings.nets.networks < MIN_IN_ENSEMBLE:
         what = "one network has no spread."
-        raise InputError("--nets.networks", what, f"Give {FEWEST_IN_ENSEMBLE} or more.")
+        raise InputError("--nets.networks", what, f"Give {MIN_IN_ENSEMBLE} or more.")
     for other, names in OF_METHODS.items():
         for name in names:
             is_given = getattr(settings.nets, name) != getattr(default.nets, name)

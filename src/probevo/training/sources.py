@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import abc
 from collections.abc import Mapping
-from collections.abc import Sequence as Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,7 @@ def opened(recording: Recording) -> Sequence:
 
 
 def checked_sources(
-    recordings: Collection[Recording], settings: TrainSettings, space: PredictionSpace
+    recordings: abc.Sequence[Recording], settings: TrainSettings, space: PredictionSpace
 ) -> list[Source]:
     """Check the recordings, so that what is wrong shows before the long work.
 
@@ -140,12 +140,14 @@ def checked_sources(
 
 def calibration(sequence: Sequence) -> list[Any]:
     """Return the calibration of camera and IMU in plain values."""
-    parts = [sequence.camera, *([] if sequence.imu is None else [sequence.imu])]
-    return [np.asarray(value).tolist() for part in parts for value in vars(part).values()]
+    values = [*vars(sequence.camera).values()]
+    if sequence.imu is not None:
+        values += vars(sequence.imu).values()
+    return [np.asarray(value).tolist() for value in values]
 
 
 def known_predictors(
-    settings: TrainSettings, recordings: Collection[Recording]
+    settings: TrainSettings, recordings: abc.Sequence[Recording]
 ) -> tuple[Predictor, ...]:
     """Return the predictors that the settings name, or else the defaults of the kind of model.
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -16,8 +15,8 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.moments import Moments
 from probevo.storage.files import write_atomically
-from probevo.storage.npz import NO_NPZ, read_npz
-from probevo.training.drive import Drive, drive_bytes, load_drive
+from probevo.storage.npz import NO_NPZ, read_npz, write_npz
+from probevo.training.drive import Drive, load_drive, save_drive
 from probevo.training.supervision import Supervision
 
 
@@ -180,7 +179,7 @@ class DriveOnDisk:
         def written() -> Iterator[Drive]:
             """Yield each part once it is on disk."""
             for k, part in enumerate(parts):
-                write_atomically(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
+                save_drive(self._path(self.name, f"-{k}.npz"), part)
                 yield part
 
         # The facts come last: their file marks the drive as recorded.
@@ -195,12 +194,7 @@ class DriveOnDisk:
         path = self._path(f"{self.name}-truth", ".npz")
         if path.exists():
             return
-        arrays: dict[str, Any] = {
-            name: np.asarray(value) for name, value in vars(supervision).items()
-        }
-        buffer = io.BytesIO()
-        np.savez(buffer, **arrays)
-        write_atomically(path, buffer.getvalue())
+        write_npz(path, {name: np.asarray(value) for name, value in vars(supervision).items()})
 
     def _path(self, prefix: str, suffix: str) -> Path:
         return self.folder / f"{prefix}-{self.number}{suffix}"

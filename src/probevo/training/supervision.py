@@ -16,10 +16,10 @@ from probevo.sequences.base import Sequence
 from probevo.sequences.stamps import NS_PER_S
 from probevo.training.settings import SupervisionName
 
-LEAST_ALPHA_M = 1e-6
-"""Least error α: a smaller one is due to chance, and its logarithm would weigh most."""
-FEWEST_POSITIONS = 4
-"""Fewest positions with which a path is aligned; three always fit."""
+MIN_ALPHA_M = 1e-6
+"""Smallest error α: a smaller one is due to chance, and its logarithm would weigh most."""
+MIN_POSITIONS = 4
+"""Minimum number of positions for the alignment of a path; three always fit."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Supervision:
             true_positions = true[:, :3, 3]
             T_true_est = rigid_alignment(positions, true_positions)
             aligned = se3.transform(T_true_est, positions)
-            return np.maximum([armse(aligned - true_positions)], LEAST_ALPHA_M)
+            return np.maximum([armse(aligned - true_positions)], MIN_ALPHA_M)
 
         # Otherwise compare the motion over each stretch, T_start_end, of which the position counts;
         # a loop is one stretch.
@@ -101,7 +101,7 @@ class Supervision:
         estimated_m = (se3.inverse(estimated[starts]) @ estimated[ends])[:, :3, 3]
         true_m = (se3.inverse(true[starts]) @ true[ends])[:, :3, 3]
         alphas: FloatArray = np.linalg.norm(estimated_m - true_m, axis=1) / np.sqrt(3.0)
-        return np.maximum(alphas, LEAST_ALPHA_M)
+        return np.maximum(alphas, MIN_ALPHA_M)
 
     def predicted_errors(self, T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
         """Compute the error α that the covariances of the motions predict over each stretch.
@@ -120,7 +120,7 @@ class Supervision:
             T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
             to_position = np.hstack([np.eye(3), -so3.wedge(T_start_cam[-1, :3, 3])])
             alphas[number] = np.sqrt(np.trace(to_position @ cov_end[-1] @ to_position.T) / 3.0)
-        return np.maximum(alphas, LEAST_ALPHA_M)
+        return np.maximum(alphas, MIN_ALPHA_M)
 
 
 def supervision_of(
@@ -164,7 +164,7 @@ def supervision_of(
         )
     # Some of the known frames, at the wanted distance in time; stretches lie between them.
     frames = _spaced(np.flatnonzero(is_known), sequence.stamps_ns, every_s)
-    fewest = FEWEST_POSITIONS if kind == "position" else 2
+    fewest = MIN_POSITIONS if kind == "position" else 2
     if len(frames) < fewest:
         raise InputError(
             where,

@@ -71,7 +71,7 @@ def trainer_of(kind: str) -> Trainer:
     """Look up the trainer of a kind of noise model.
 
     Raises:
-        InputError: there is no such kind, it is not trained, or its trainer is none.
+        InputError: there is no such kind, it is not trained, or its trainer is no ``Trainer``.
     """
     kinds = noise_kinds()
     if kind not in kinds or not kinds[kind].trainer:

@@ -24,10 +24,10 @@ Numbered = list[tuple[int, Any]]
 Run = Callable[[Callable[[Any], Any], Numbered], Generator[tuple[int, Any], None, None]]
 """Calls a function with each task, and yields the numbered results as they come."""
 
-MOST_LOSSES = 3
+MAX_LOSSES = 3
 """How many times in a row a worker may be lost before any task is done. Then each remaining task
 gets a worker to itself, as often."""
-MOST_SUBMITTED = 1000
+MAX_SUBMITTED = 1000
 """Tasks that are submitted to a cluster at a time: each brings its model along."""
 CONNECT_S = 10.0
 """Time within which the scheduler of a cluster has to answer."""
@@ -90,14 +90,14 @@ class Workers:
             with self._ready() as run:
                 # Do all tasks, and those again that were lost with a worker.
                 losses = 0
-                while losses < MOST_LOSSES and job.missing:
+                while losses < MAX_LOSSES and job.missing:
                     num_done = len(job.found)
                     # A loss after progress may be chance; only losses in a row count.
                     if not job.attempt(run, job.missing):
                         losses = 1 if len(job.found) > num_done else losses + 1
                 # One at a time, so that it shows which task it is that takes down its worker.
                 for number in job.missing:
-                    any(job.attempt(run, [number]) for _ in range(MOST_LOSSES))
+                    any(job.attempt(run, [number]) for _ in range(MAX_LOSSES))
         except NoWorkerError as error:
             raise InputError(
                 _listed([names[number] for number in job.missing]),
@@ -109,7 +109,7 @@ class Workers:
         if job.missing:
             raise InputError(
                 _listed([names[number] for number in job.missing]),
-                f"its worker was lost {MOST_LOSSES} times, though it ran nothing else.",
+                f"its worker was lost {MAX_LOSSES} times, though it ran nothing else.",
                 "Did the memory give out? The same command goes on from what is done.",
             )
         return [job.found[number] for number in range(len(tasks))]
@@ -211,7 +211,7 @@ def _on_cluster(
             for number, task in islice(waiting, count)
         ]
 
-    running = as_completed(submitted(MOST_SUBMITTED), loop=client.loop)
+    running = as_completed(submitted(MAX_SUBMITTED), loop=client.loop)
     try:
         while not running.is_empty():
             # Iterating over ``running`` would block as long as no worker is left.
@@ -347,7 +347,7 @@ async def _check_scheduler(address: str) -> None:
     after a failure it keeps this process from ending for 20 s.
 
     Raises:
-        ValueError: it is none, or the address is not one.
+        ValueError: it is no scheduler, or the address is invalid.
         OSError: nobody answers; TimeoutError if not within CONNECT_S.
         Exception: what Dask raises at the answer of another service.
     """

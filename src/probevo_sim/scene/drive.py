@@ -24,7 +24,7 @@ _KNOT_STEP_S = 0.05
 _MARGIN_S = 0.5
 """The splines reach this far beyond both ends."""
 _LATERAL_M_S2 = 1.8
-"""Most lateral acceleration in a curve."""
+"""Largest lateral acceleration in a curve."""
 _WANDER_RMS_M = 0.1
 """Lateral deviation from the planned path."""
 _WANDER_FADE_M = 15.0

@@ -24,8 +24,8 @@ OFFSETS_PX = np.array([[-0.375, -0.125], [-0.125, 0.375], [0.125, -0.375], [0.37
 FOOTPRINT_PX = 0.5
 """Side of the square over which each ray sees the mean of a texture."""
 MAX_INSTANTS = 32
-"""Most instants at which a blurred image is rendered, with one ray a pixel; slow motion takes
-fewer."""
+"""Largest number of instants at which a blurred image is rendered, with one ray a pixel; slow
+motion takes fewer."""
 NEAR_SCENERY_M = 5.0
 """Nearest depth for which there are enough instants; nearer things may blur in visible steps."""
 CORNER_ERROR_PX = (0.35, 0.35, 0.6)

@@ -15,7 +15,7 @@ from probevo.compiled import compiled
 from probevo_sim.scene.textures import SIZE, Mipmaps
 
 MAX_TAPS = 8
-"""Most samples along the longer side of a footprint.
+"""Largest number of samples along the longer side of a footprint.
 
 A footprint that is more than so many times as long as wide is blurred across.
 """

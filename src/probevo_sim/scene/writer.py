@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
 from probevo.storage.files import check_folder, remove_stale, write_atomically
 from probevo.storage.lock import LOCK
+from probevo.storage.npz import write_npz
 from probevo_sim.scene.config import SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 from probevo_sim.scene.renderer import PixelTruth
@@ -139,15 +139,13 @@ def _has_images(out: Path, index: int) -> bool:
 
 def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
     """Write the truth about each pixel in single precision."""
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        depth_m=truth.depth_m.astype(np.float32),
-        disparity_px=truth.disparity_px.astype(np.float32),
-        flow_px=truth.flow_px.astype(np.float32),
-        moving=truth.moving,
-    )
-    write_atomically(path, buffer.getvalue())
+    arrays = {
+        "depth_m": truth.depth_m.astype(np.float32),
+        "disparity_px": truth.disparity_px.astype(np.float32),
+        "flow_px": truth.flow_px.astype(np.float32),
+        "moving": truth.moving,
+    }
+    write_npz(path, arrays, is_compressed=True)
 
 
 def _write_rest(recording: SceneRecording, out: Path) -> None:

@@ -34,7 +34,7 @@ from probevo_sim.spoiling.plan import (
 
 RECORD = "spoiled.json"
 """File beside the images that says what was done to each frame."""
-FEWEST_FRAMES = 2
+MIN_FRAMES = 2
 _BURST_KEY = 2
 _FRAME_KEY = 3
 
@@ -72,7 +72,7 @@ class SpoiledRecording(ImageRecording):
             raise InputError(original.path, what, "Only recordings of images can be spoiled.")
         plans = plan_frames(config, len(original))
         kept = np.array([plan.effect != "dropped" for plan in plans])
-        if kept.sum() < FEWEST_FRAMES:
+        if kept.sum() < MIN_FRAMES:
             what = f"of its {len(original)} frames, {int(kept.sum())} would be left."
             raise InputError(original.path, what, "Take a longer recording, or another --seed.")
         truth = original.truth

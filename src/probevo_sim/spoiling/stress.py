@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import abc
 from collections.abc import Callable, Iterator
-from collections.abc import Sequence as Items
 from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
 from pathlib import Path
@@ -273,7 +273,7 @@ def step_errors(clean: RunResult, spoiled: RunResult, kept: IntArray) -> StepErr
     )
 
 
-def figures_of(preset: str, severity: float, runs: Items[StepErrors]) -> Figures:
+def figures_of(preset: str, severity: float, runs: abc.Sequence[StepErrors]) -> Figures:
     """Summarise the steps of the runs of one preset and severity."""
     is_ok = np.concatenate([np.array(run.is_ok, bool) for run in runs])
 

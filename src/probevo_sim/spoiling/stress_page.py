@@ -18,11 +18,11 @@ from probevo.output.table import Column, Row, Table
 from probevo.storage.files import write_atomically
 from probevo_sim.spoiling.stress import REGION, Figures, Stress
 
-MOST_OUTSIDE = 0.01
+MAX_OUTSIDE = 0.01
 """Share of the steps that are OK that may lie outside of the region; more is marked."""
-FEWEST_OK = 0.97
+MIN_OK = 0.97
 """Share of the steps that should be OK; less is marked."""
-MOST_LABELLED = 30.0
+MAX_LABELLED = 30.0
 """Ratio of the ends of a logarithmic axis up to which 1, 2 and 5 of each decade have room."""
 _PNG_DPI = 150
 _IN_DEG = 180.0 / np.pi
@@ -65,25 +65,25 @@ def stress_table(stress: Stress) -> Table:
 def stress_notes(stress: Stress) -> list[str]:
     """Say in sentences where steps are lost, and where the claim does not cover the error."""
     percent = 100.0 * REGION
-    few = [_place(each) for each in stress.figures if each.ok < FEWEST_OK]
+    few = [_place(each) for each in stress.figures if each.ok < MIN_OK]
     wrong = [
         f"{_place(each)} ({round(each.outside * each.num_ok)} of {each.num_ok})"
         for each in stress.figures
-        if each.outside is not None and each.outside > MOST_OUTSIDE
+        if each.outside is not None and each.outside > MAX_OUTSIDE
     ]
     notes = []
     if few:
-        notes.append(f"Less than {100.0 * FEWEST_OK:g} % of the steps are OK: {', '.join(few)}.")
+        notes.append(f"Less than {100.0 * MIN_OK:g} % of the steps are OK: {', '.join(few)}.")
     else:
-        notes.append(f"At least {100.0 * FEWEST_OK:g} % of the steps are OK everywhere.")
+        notes.append(f"At least {100.0 * MIN_OK:g} % of the steps are OK everywhere.")
     if wrong:
         notes.append(
-            f"More than {100.0 * MOST_OUTSIDE:g} % of the OK steps lie outside of their"
+            f"More than {100.0 * MAX_OUTSIDE:g} % of the OK steps lie outside of their"
             f" {percent:.2f} % region: {', '.join(wrong)}."
         )
     else:
         notes.append(
-            f"Nowhere do more than {100.0 * MOST_OUTSIDE:g} % of the OK steps lie outside of their"
+            f"Nowhere do more than {100.0 * MAX_OUTSIDE:g} % of the OK steps lie outside of their"
             f" {percent:.2f} % region."
         )
     return notes
@@ -224,7 +224,7 @@ def _draw_errors(axes: Axes, found: Sequence[Figures], part: ErrorPart, *, clean
 def _set_log_ticks(axes: Axes) -> None:
     """Label as many values of a logarithmic axis as have room: powers of ten, if it is long."""
     low, high = axes.get_ylim()
-    is_long = high > MOST_LABELLED * low
+    is_long = high > MAX_LABELLED * low
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if is_long else (1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())

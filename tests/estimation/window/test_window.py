@@ -19,7 +19,7 @@ from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.further_measurements import with_measurements
 from probevo.estimation.window.live_motion import live_motion
 from probevo.estimation.window.marginalization import (
-    LEAST_POSITION_INFORMATION,
+    MIN_POSITION_INFORMATION,
     kept_positive,
     without_blind,
 )
@@ -902,7 +902,7 @@ def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions()
     information[:-RIG, :-RIG] = between - 1e-7 * np.eye(2 * POSE)
     prior = kept_positive(MarginalPrior(information, np.zeros(len(information))))
     of_poses = prior.information[:-RIG, :-RIG]
-    assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * LEAST_POSITION_INFORMATION
+    assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * MIN_POSITION_INFORMATION
     difference = np.kron(np.array([1.0, -1.0]), np.eye(POSE))
     cov = difference @ np.linalg.inv(of_poses) @ difference.T
     np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)

@@ -10,7 +10,7 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel, StudentT
 from probevo.noise.metric import Metric
-from probevo.noise.probe.nearest_neighbors import LARGEST_BETA, NearestNeighbors
+from probevo.noise.probe.nearest_neighbors import MAX_BETA, NearestNeighbors
 
 PLACES = np.array([[0.0], [1.0], [10.0], [11.0]])
 ALPHAS = np.array([1.0, 3.0, 8.0, 4.0])
@@ -79,7 +79,7 @@ def test_beta_is_bounded() -> None:
     model = NearestNeighbors(1, exponent=300.0).fit(PLACES, np.array([1e-6, 1.0, 1.0, 1e6]))
     np.testing.assert_allclose(
         model.weights(PLACES[[0, 3]]),
-        [1.0 / LARGEST_BETA, LARGEST_BETA],
+        [1.0 / MAX_BETA, MAX_BETA],
         rtol=1e-9,
     )
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from probevo.output.inspection.profiles import MOST_BINS, profile_along
+from probevo.output.inspection.profiles import MAX_BINS, profile_along
 
 
 def test_a_straight_line_is_found_and_explains_its_share() -> None:
@@ -8,9 +8,9 @@ def test_a_straight_line_is_found_and_explains_its_share() -> None:
     rng = np.random.default_rng(0)
     x = rng.uniform(size=40_000)
     profile = profile_along(x, 2.0 * x + rng.normal(size=len(x)))
-    assert len(profile.center) == MOST_BINS
+    assert len(profile.center) == MAX_BINS
     assert np.all(np.abs(profile.mean - 2.0 * profile.center) < 4.0 * profile.standard_error)
-    np.testing.assert_allclose(profile.standard_error, 1.0 / np.sqrt(len(x) / MOST_BINS), rtol=0.1)
+    np.testing.assert_allclose(profile.standard_error, 1.0 / np.sqrt(len(x) / MAX_BINS), rtol=0.1)
     np.testing.assert_allclose(profile.share_explained, 0.25, atol=0.01)
     assert profile.undefined is None
 

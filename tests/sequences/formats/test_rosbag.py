@@ -23,7 +23,7 @@ from probevo.sequences import open_sequence
 from probevo.sequences.formats.ros_images import gray_of
 from probevo.sequences.formats.rosbag import BagRecording
 from probevo.sequences.formats.rosbag_file import IMAGE_TYPES, IMU_TYPE, Topic
-from probevo.sequences.formats.rosbag_topics import MOST_LISTED, topic_list
+from probevo.sequences.formats.rosbag_topics import MAX_LISTED, topic_list
 from probevo.sequences.stamp_pairs import pair_stamps
 from sequences.bags import (
     KINDS,
@@ -375,7 +375,7 @@ def test_topics_that_are_not_read_are_counted() -> None:
         "/view (sensor_msgs/msg/Image, 2 messages)",
         "/imu (sensor_msgs/msg/Imu, 1 message)",
     ]
-    assert len(lines) == 1 + MOST_LISTED + 1
+    assert len(lines) == 1 + MAX_LISTED + 1
     assert lines[-1] == "… and 22 more, of types that are not read"
 
 

@@ -7,7 +7,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.geometry import se3
 from probevo.training.gk.conditioning import (
     LOOP_SIGMA,
-    MOST_COMMON,
+    MAX_COMMON,
     StepCorrelations,
     conditioned,
 )
@@ -137,10 +137,10 @@ def correlated_through_common_errors(seed: int = 0) -> tuple[StepCorrelations, F
     rng = np.random.default_rng([seed, 4])
     # w whitened errors: given c before the step, the step moves with the first six, and the last
     # are what is not known of c.
-    size = 6 + MOST_COMMON
+    size = 6 + MAX_COMMON
     roots = 1e-3 * rng.normal(size=(STEPS, 6, size))
-    before = 0.9 * np.linalg.qr(rng.normal(size=(STEPS, size, MOST_COMMON)))[0].mT
-    after = np.linalg.qr(rng.normal(size=(STEPS, size, MOST_COMMON)))[0]
+    before = 0.9 * np.linalg.qr(rng.normal(size=(STEPS, size, MAX_COMMON)))[0].mT
+    after = np.linalg.qr(rng.normal(size=(STEPS, size, MAX_COMMON)))[0]
     correlations = StepCorrelations(
         with_before=roots @ before.mT, with_after=roots @ after, transition=before @ after
     )

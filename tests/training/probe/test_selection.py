@@ -15,7 +15,7 @@ from probevo.training.drive import Drive
 from probevo.training.probe.samples import folds_of_steps, gather_samples
 from probevo.training.probe.selection import (
     EXPONENTS,
-    FEWEST_ERRORS,
+    MIN_ERRORS,
     NEIGHBORS,
     choose_exponent,
     choose_neighbors,
@@ -255,14 +255,14 @@ def test_steps_that_no_half_can_solve_have_no_say() -> None:
 def test_a_few_known_errors_do_not_decide_on_gamma(every: int) -> None:
     """One loop, or a few stretches: γ is that of the drive without any truth."""
     few = sampled_drive("sparse", every=every)
-    assert len(few.sampler.supervision.stretches) < FEWEST_ERRORS
+    assert len(few.sampler.supervision.stretches) < MIN_ERRORS
     log_sigma = few.drive.phi[:, 0] - few.drive.phi[:, 0].mean()
     search = choose_exponent([few.sampler], [log_sigma])
     assert search == choose_exponent([sampled_drive("none").sampler], [log_sigma])
     assert search.chosen > 0.0
 
 
-@pytest.mark.parametrize("steps", [1, FEWEST_ERRORS - 1])
+@pytest.mark.parametrize("steps", [1, MIN_ERRORS - 1])
 def test_of_a_few_steps_gamma_is_0(sampled: SampledDrive, steps: int) -> None:
     """Their standard error means nothing, and that of one step is 0: chance alone would decide."""
     whole = sampled.drive

@@ -91,15 +91,15 @@ FLAWLESS = 1e-6
 has the same states, which the prior holds at zero."""
 CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
-LEAST_DAMPING = 1e-4
+MIN_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
-MOST_UNKNOWN = np.repeat([1e3, 2.0], 3)
+MAX_UNKNOWN = np.repeat([1e3, 2.0], 3)
 """Largest standard deviation of a measured motion, m and rad: a kilometre, and that of an angle of
 which nothing is known (π/√3). Beside features that know the motions between other frames to 0.1 mm,
 rounding would lose what is less certain."""
-LEAST_VARIANCE_PX2 = 1e-12
+MIN_VARIANCE_PX2 = 1e-12
 """Variance of a time-correlated disparity error in a noise model that knows none."""
 
 
@@ -413,7 +413,7 @@ class WindowEstimator:
             error_information=np.concatenate(
                 [
                     window.landmarks.error_information,
-                    1.0 / np.maximum(variance[is_new], LEAST_VARIANCE_PX2),
+                    1.0 / np.maximum(variance[is_new], MIN_VARIANCE_PX2),
                 ]
             ),
             static_weight=np.concatenate([window.landmarks.static_weight, np.ones(len(first_px))]),
@@ -472,9 +472,9 @@ class WindowEstimator:
             predicted_rise = max(0.0, float(increment @ (0.5 * hessian @ increment - gradient)))
             if candidate_system.cost <= system.cost + predicted_rise + COST_TOLERANCE:
                 system = candidate_system
-                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
+                damping = 0.1 * damping if damping > MIN_DAMPING else 0.0
             else:
-                damping = max(LEAST_DAMPING, 10.0 * damping)
+                damping = max(MIN_DAMPING, 10.0 * damping)
                 candidate = system.window
         # The covariance is that of the last equations formed, at most that small increment before.
         cov, cov_of_motions = self._covariances(system.equations.hessian)
@@ -725,12 +725,12 @@ class WindowEstimator:
 
 
 def _bounded(motion: RelativePose) -> RelativePose:
-    """Return a measured motion that is as if known to ``MOST_UNKNOWN``, where it is known less."""
+    """Return a measured motion that is as if known to ``MAX_UNKNOWN``, where it is known less."""
     # Scaling rows and columns alike keeps the correlations.
     sigma = np.sqrt(np.diagonal(motion.covariance))
-    if (sigma <= MOST_UNKNOWN).all():
+    if (sigma <= MAX_UNKNOWN).all():
         return motion
-    factor = np.minimum(1.0, MOST_UNKNOWN / sigma)
+    factor = np.minimum(1.0, MAX_UNKNOWN / sigma)
     cov = factor[:, None] * motion.covariance * factor
     return RelativePose(motion.T_curr_prev, cov, motion.curr, motion.prev)
 

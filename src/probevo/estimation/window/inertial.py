@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from probevo.estimation.window.inertial_prediction import InertialPrediction
     from probevo.estimation.window.window import Window
 
-LARGEST_NOISE_FACTOR = 16.0
+MAX_NOISE_FACTOR = 16.0
 """Largest factor of the samples' variances: four times the standard deviation of the data sheet."""
 NUM_TESTED = 20
 """Last factors over which the noise is estimated, and those beyond the gate are counted."""
-FEWEST_INNOVATIONS = 8
-"""Least number of them that says how large the noise is."""
+MIN_INNOVATIONS = 8
+"""Minimum number of them that says how large the noise is."""
 
 
 class ImuStatus(Enum):
@@ -153,7 +153,7 @@ class Inertial:
 
     @property
     def first_covered(self) -> int:
-        """Place of the first frame from which on its samples cover all intervals, 0 … K − 1."""
+        """Place of the first frame after which samples cover all intervals, 0 … K − 1."""
         missing = [at for at, factor in enumerate(self.factors) if factor is None]
         return missing[-1] + 1 if missing else 0
 
@@ -167,7 +167,7 @@ class Inertial:
     def excess(self) -> float:
         """By how much the covariances of the last innovations, with ``noise_factor``, are still too
         small in the median; 1 if they are right."""
-        if len(self.innovations) < FEWEST_INNOVATIONS:
+        if len(self.innovations) < MIN_INNOVATIONS:
             return 1.0
         return median_excess(self.innovations, self.noise_factor)
 
@@ -197,8 +197,8 @@ class Inertial:
         """Return the IMU with one more innovation, and the noise that the last of them show."""
         innovations = (*self.innovations[1 - NUM_TESTED :], innovation)
         noise_factor = self.noise_factor
-        if len(innovations) >= FEWEST_INNOVATIONS:
-            noise_factor = estimated_noise_factor(innovations, largest=LARGEST_NOISE_FACTOR)
+        if len(innovations) >= MIN_INNOVATIONS:
+            noise_factor = estimated_noise_factor(innovations, largest=MAX_NOISE_FACTOR)
         return replace(
             self,
             innovations=innovations,

@@ -22,14 +22,14 @@ from probevo.geometry import so3
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
 
-LEAST_INFORMATION = 1e-6
+MIN_INFORMATION = 1e-6
 """Information of what nothing measures, such as the velocity at a frame without samples on either
 side; it draws nowhere."""
-LEAST_WALK = 1e-14
-"""Least variance of a bias's random walk over a step, for calibrations that know none. Its standard
-deviation of 1e-7 rad/s or m/s² amounts to 1e-5 after 10,000 steps, less than any bias is known to.
-Beside the information of factors, 1e2 to 1e7, its inverse is as large as doubles can take: of 1e18,
-rounding would lose 1e2."""
+MIN_WALK = 1e-14
+"""Smallest variance of a bias's random walk over a step, for calibrations that know none. Its
+standard deviation of 1e-7 rad/s or m/s² amounts to 1e-5 after 10,000 steps, less than any bias is
+known to. Beside the information of factors, 1e2 to 1e7, its inverse is as large as doubles can
+take: of 1e18, rounding would lose 1e2."""
 
 
 class Intervals(NamedTuple):
@@ -49,7 +49,7 @@ def walk_variances(calibration: ImuCalibration, durations_s: FloatArray) -> Floa
     """
     walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
     variances: FloatArray = durations_s[:, None] * np.repeat(np.square(walks), 3)
-    return np.maximum(variances, LEAST_WALK)
+    return np.maximum(variances, MIN_WALK)
 
 
 class InertialSystem(NamedTuple):
@@ -148,8 +148,8 @@ def inertial_system(
     # What nothing measures must not make the block singular that is eliminated.
     inertial = hessian[p:, p:].copy()
     diagonal = np.diagonal(inertial)
-    unmeasured = np.flatnonzero(diagonal < LEAST_INFORMATION)
-    inertial[unmeasured, unmeasured] = LEAST_INFORMATION
+    unmeasured = np.flatnonzero(diagonal < MIN_INFORMATION)
+    inertial[unmeasured, unmeasured] = MIN_INFORMATION
     own = scaled_inverse(inertial)
     return InertialSystem(
         cost=cost, hessian=hessian, gradient=gradient, gain=own @ hessian[p:, :p], own=own
@@ -426,8 +426,8 @@ def without_first_frame(
     goes[:POSE] = True
     goes[p + GRAVITY : p + GRAVITY + STATE] = True
     gone = hessian[np.ix_(goes, goes)]
-    unmeasured = np.flatnonzero(np.diagonal(gone) < LEAST_INFORMATION)
-    gone[unmeasured, unmeasured] = LEAST_INFORMATION
+    unmeasured = np.flatnonzero(np.diagonal(gone) < MIN_INFORMATION)
+    gone[unmeasured, unmeasured] = MIN_INFORMATION
     gain = scaled_inverse(gone) @ hessian[np.ix_(goes, ~goes)]
     rest = hessian[np.ix_(~goes, ~goes)] - hessian[np.ix_(~goes, goes)] @ gain
     rest = 0.5 * (rest + rest.T)

@@ -44,16 +44,17 @@ from probevo.sequences.frame import Frame
 
 FRAMES_AT_START = 6
 """Number of frames of which the states are estimated at first; all frames of a shorter window."""
-FEWEST_AT_START = 4
-"""Least number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and displacements,
-and the prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9 degrees of freedom.
-Three frames fit any forces, and would test nothing but the length of gravity."""
-LARGEST_EXCESS = 4.0
+MIN_AT_START = 4
+"""Minimum number of them. Of the accelerometer, K frames have 6 (K − 1) velocities and
+displacements, and the prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9
+degrees of freedom. Three frames fit any forces, and would test nothing but the length of
+gravity."""
+MAX_EXCESS = 4.0
 """Largest χ² over its degrees of freedom, at the start and later: what factors and images together
 may be noisier than they say."""
-MOST_GATED = 6
+MAX_GATED = 6
 """So many of the last ``NUM_TESTED`` factors beyond the gate, and the IMU is left out."""
-MOST_ATTEMPTS = 30
+MAX_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
 NO_SOLUTION = ImuReason(
     ImuFault.NO_SOLUTION, "is left out for good: with it, the window has no solution"
@@ -62,7 +63,7 @@ NO_SOLUTION = ImuReason(
 SHORT_WINDOW = ImuReason(
     ImuFault.SHORT_WINDOW, "is left out: with fewer than 3 window.frames, it cannot be tested"
 )
-"""Why an IMU is left out of a window that never has ``FEWEST_AT_START`` frames."""
+"""Why an IMU is left out of a window that never has ``MIN_AT_START`` frames."""
 UNTESTABLE = ImuReason(
     ImuFault.UNTESTABLE,
     "cannot be tested: the covariance of the poses is too large to be accurate",
@@ -80,7 +81,7 @@ def without_imu_if_untestable(window: Window, most_frames: int) -> Window:
         most_frames: of the window at any time, the new one included.
     """
     inertial = window.inertial
-    if inertial.status in (ImuStatus.ABSENT, ImuStatus.EXCLUDED) or most_frames >= FEWEST_AT_START:
+    if inertial.status in (ImuStatus.ABSENT, ImuStatus.EXCLUDED) or most_frames >= MIN_AT_START:
         return window
     return without_imu(window, SHORT_WINDOW)
 
@@ -108,7 +109,7 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
     except np.linalg.LinAlgError:
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
         return replace(window, inertial=replace(inertial, reason=UNTESTABLE))
-    reason = fit.reason_against(LARGEST_EXCESS)
+    reason = fit.reason_against(MAX_EXCESS)
     if reason is None:
         states = with_gravity_of_known_length(fit.states)
         # The factors that were tested have the noise that the test has shown, as later ones have.
@@ -119,9 +120,9 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
         )
         used = replace(inertial, states=states, factors=noisier, noise_factor=excess, reason=None)
         return replace(window, inertial=used)
-    # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
+    # Failed: try again in the next frame, up to ``MAX_ATTEMPTS``.
     attempts = inertial.attempts + 1
-    if attempts >= MOST_ATTEMPTS:
+    if attempts >= MAX_ATTEMPTS:
         return without_imu(window, reason.for_good())
     return replace(window, inertial=replace(inertial, attempts=attempts, reason=reason))
 
@@ -261,11 +262,11 @@ def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Windo
             pending = _as_noisy_as(inertial.pending, difference)
         inertial = replace(inertial, pending=pending, prediction=None, reason=reason)
     num_gated = sum(inertial.was_gated)
-    if num_gated >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
+    if num_gated >= MAX_GATED or inertial.excess > MAX_EXCESS:
         text = (
             f"contradicted the images in {num_gated} of the last {len(inertial.innovations)} steps"
         )
-        if inertial.excess > LARGEST_EXCESS:
+        if inertial.excess > MAX_EXCESS:
             text = (
                 f"differs from the images by {inertial.excess:.1f} times what their variances"
                 f" explain, in the median of the last {len(inertial.innovations)} steps"

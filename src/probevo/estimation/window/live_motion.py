@@ -18,10 +18,10 @@ from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 
-LARGEST_ATTITUDE_SIGMA_RAD = 0.2
+MAX_ATTITUDE_SIGMA_RAD = 0.2
 """Standard deviation of the attitude in the world up to which covariances of poses in the world
 may be subtracted from each other: beyond, their errors of linearisation exceed the difference."""
-LARGEST_POSITION_SHARE = 1e5
+MAX_POSITION_SHARE = 1e5
 """Variance of the position in the world, over that of the translation of a step, up to which they
 may be. A position known to 10 m beside a step known to 3 mm has 10⁷. With 10⁴ to 10⁶, the NEES of
 steps of two rendered streets and of KITTI's raw drive 0039 is the same to 0.02."""
@@ -61,9 +61,9 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     # What the step has shown of the lenses' distortion removes nothing from that pose.
     cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
-    largest_variance = LARGEST_POSITION_SHARE * np.diagonal(relative_cov)[:3].max()
+    largest_variance = MAX_POSITION_SHARE * np.diagonal(relative_cov)[:3].max()
     is_far = np.diagonal(prev_before)[:3].max() > largest_variance
-    if is_far or np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
+    if is_far or np.diagonal(prev_before)[3:].max() > MAX_ATTITUDE_SIGMA_RAD**2:
         cov_reduction = _reduction_since_known_frame(before, after, largest_variance)
     corrected = adjoint @ cov_reduction @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
@@ -103,7 +103,7 @@ def _reduction_since_known_frame(
         _, cov_before = before.relative(len(before) - 1, before.slot(int(after.frames[slot])))
         variances = np.diagonal(cov_before)
         is_known = variances[:3].max() <= largest_variance
-        if is_known and variances[3:].max() <= LARGEST_ATTITUDE_SIGMA_RAD**2:
+        if is_known and variances[3:].max() <= MAX_ATTITUDE_SIGMA_RAD**2:
             _, cov_after = after.relative(prev, slot)
             return np.asarray(cov_before - cov_after)
     # The motion to the previous frame was not known before the step, as right behind a pause: there

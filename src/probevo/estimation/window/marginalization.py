@@ -11,17 +11,17 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.window import MarginalPrior, Window, is_of_poses
 
-LEAST_SHARE = 1e-14
-"""Least information about the position of a window, over that about the motions within it: less is
-a matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
+MIN_SHARE = 1e-14
+"""Smallest information about the position of a window, over that about the motions within it: less
+is a matter of rounding, and would spoil the covariances of the motions. In a street, it is that of
 kilometres; among points at a distance of a metre, that of a hundred metres."""
 POSITION_IS_UNKNOWN = 1e-8
 """Share of the information below which the position of a window is as good as unknown: it changes
 the variances of the motions within the window by no more than that."""
-LEAST_SHARE_OF_MOTIONS = 1e-12
+MIN_SHARE_OF_MOTIONS = 1e-12
 """The same for the least known state of a window whose oldest pose is held."""
-LEAST_POSITION_INFORMATION = 1e-6
-"""Least information about the position of a window that is left where rounding has lost it, m⁻²:
+MIN_POSITION_INFORMATION = 1e-6
+"""Smallest information about the position of a window that is left where rounding has lost it, m⁻²:
 that of a kilometre."""
 LENGTH_M = 10.0
 """Lever arm: an attitude error of 1 rad counts as an error of the position by this length, where
@@ -46,7 +46,7 @@ def pose_covariance(hessian: FloatArray) -> PoseCovariance:
     hours with blackouts so much better that both are lost in one inversion. So the oldest pose is
     first held by additional information B, the diagonal of its own block. With C the inverse then,
     and C₀ its columns of the oldest pose, the inverse without B is C + C₀ (B⁻¹ − C₀₀)⁻¹ C₀ᵀ
-    (Woodbury). The position is at least as well known as ``LEAST_SHARE`` says.
+    (Woodbury). The position is at least as well known as ``MIN_SHARE`` says.
 
     Raises:
         numpy.linalg.LinAlgError: the motions are not known.
@@ -63,7 +63,7 @@ def pose_covariance(hessian: FloatArray) -> PoseCovariance:
     # shares of the information about the oldest pose that are not due to holding it.
     share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
     moved = inverse[:, :POSE] * root @ directions
-    of_position = moved / np.maximum(share, LEAST_SHARE)
+    of_position = moved / np.maximum(share, MIN_SHARE)
     is_known = share > POSITION_IS_UNKNOWN
     in_world = inverse + of_position @ moved.T
     if is_known.all():
@@ -78,7 +78,7 @@ def _definite_inverse(information: FloatArray) -> FloatArray:
 
     A long pause within the window leaves the motion across it known by next to nothing, beside
     motions that are known to a hundredth of a millimetre. What is lost by rounding is as well known
-    as ``LEAST_SHARE_OF_MOTIONS`` says.
+    as ``MIN_SHARE_OF_MOTIONS`` says.
 
     Raises:
         numpy.linalg.LinAlgError: some state is not known at all.
@@ -93,7 +93,7 @@ def _definite_inverse(information: FloatArray) -> FloatArray:
         root = np.linalg.inv(np.linalg.cholesky(unit))
     except np.linalg.LinAlgError:
         values, directions = np.linalg.eigh(unit)
-        root = np.maximum(values, LEAST_SHARE_OF_MOTIONS)[:, None] ** -0.5 * directions.T
+        root = np.maximum(values, MIN_SHARE_OF_MOTIONS)[:, None] ** -0.5 * directions.T
     root = root * sigma
     return np.asarray(root.T @ root)
 
@@ -114,14 +114,14 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
     """Return the prior with an information about its poses that is positive.
 
     Rounding may lose what the prior says of the position of the window, beside the motions within
-    it, and leave negative eigenvalues. These are raised to ``LEAST_POSITION_INFORMATION``.
+    it, and leave negative eigenvalues. These are raised to ``MIN_POSITION_INFORMATION``.
     """
     # A pose of which the prior says nothing has only zeros, and is no matter of rounding.
     poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
     block = np.ix_(poses, poses)
     of_poses = prior.information[block]
     # With a unit diagonal, Cholesky fails by what rounding has lost, whatever the scale of a pose.
-    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_POSITION_INFORMATION))
+    unit = np.sqrt(np.maximum(np.diagonal(of_poses), MIN_POSITION_INFORMATION))
     try:
         np.linalg.cholesky(of_poses / unit[:, None] / unit)
     except np.linalg.LinAlgError:
@@ -131,7 +131,7 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
         directions = metres[:, None] * directions
         information = prior.information.copy()
         information[block] = (
-            directions * np.maximum(values, LEAST_POSITION_INFORMATION) @ directions.T
+            directions * np.maximum(values, MIN_POSITION_INFORMATION) @ directions.T
         )
         return replace(prior, information=information)
     return prior

@@ -29,7 +29,7 @@ from probevo.noise.probe.neighbor_index import NeighborIndex
 from probevo.noise.student_t import StudentT
 
 Average = Literal["arithmetic", "geometric"]
-LARGEST_BETA = 1e4
+MAX_BETA = 1e4
 """Bound of β and of 1/β: beyond it a feature contributes nothing, or dominates all others."""
 
 
@@ -126,9 +126,9 @@ class NearestNeighbors:
         return self.base.predict(predictors).scaled(beta)
 
     def weights(self, predictors: FloatArray) -> FloatArray:
-        """Compute β = (ᾱ_K/ᾱ)^γ at N points [N, M], bounded by ``LARGEST_BETA``: [N]."""
+        """Compute β = (ᾱ_K/ᾱ)^γ at N points [N, M], bounded by ``MAX_BETA``: [N]."""
         # In logarithms, so that a large exponent cannot overflow; β and 1/β have the same bound.
-        bound = np.log(LARGEST_BETA)
+        bound = np.log(MAX_BETA)
         log_beta = self.exponent * self.log_relative_alpha(predictors)
         beta: FloatArray = np.exp(np.clip(log_beta, -bound, bound))
         return beta

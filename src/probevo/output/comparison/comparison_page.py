@@ -34,7 +34,7 @@ from probevo.output.svg import CYCLE, figure_style
 from probevo.output.table import readable
 from probevo.output.trial_table import TrialTable, trials_section
 
-_MOST_PICTURES = 4
+_MAX_PICTURES = 4
 """Pictures of one sequence; with more estimators than that, there is one of each."""
 
 
@@ -137,7 +137,7 @@ def _pictures(entries: Sequence[Entry]) -> list[tuple[str, bytes]]:
     if not shown:
         return []
     available = min(len(entry.pictures) for entry in shown)
-    count = min(max(_MOST_PICTURES // len(shown), 1), available)
+    count = min(max(_MAX_PICTURES // len(shown), 1), available)
     # The middle of each of ``count`` equal parts of the run.
     frames = [(2 * k + 1) * available // (2 * count) for k in range(count)]
     return [

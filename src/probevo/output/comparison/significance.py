@@ -11,7 +11,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.evaluation.paired_test import (
     DRAWS,
-    FEWEST_STEPS,
+    MIN_STEPS,
     PairedDifference,
     paired_differences,
 )
@@ -127,7 +127,7 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
     if not clauses:
         clauses.append(
             "too short to tell who drifts less, which takes"
-            f" {FEWEST_STEPS} steps and {min(SHORT_LENGTHS_M):.0f} m between true poses"
+            f" {MIN_STEPS} steps and {min(SHORT_LENGTHS_M):.0f} m between true poses"
         )
     return f"{'; '.join(clauses)}."
 

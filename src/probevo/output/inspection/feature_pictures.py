@@ -213,7 +213,7 @@ def _legend(width_px: int, shades: Shades, num_unknown: int, num_out_of_domain: 
     """
     dpi = _DPI * width_px / REFERENCE_PX
     width = REFERENCE_PX
-    # A hundredth more, lest rounding lose a pixel.
+    # A hundredth more, so that rounding does not lose a pixel.
     figure = Figure(
         ((width_px + 0.01) / dpi, (legend_height(width_px) + 0.01) / dpi), dpi, facecolor=_DARK
     )

@@ -15,7 +15,7 @@ from probevo.output.inspection.common_sections import (
     settings_section,
     training_section,
 )
-from probevo.output.inspection.feature_pictures import Shades, draw_features, value_shades
+from probevo.output.inspection.feature_pictures import Shades, value_shades
 from probevo.output.inspection.gk_data import (
     CentersView,
     gained,
@@ -29,7 +29,12 @@ from probevo.output.inspection.gk_plots import (
     gains_figure,
     histogram_figure,
 )
-from probevo.output.inspection.predictors import column_shades, spread_text, undefined_text
+from probevo.output.inspection.predictors import (
+    column_shades,
+    drawn,
+    spread_text,
+    undefined_text,
+)
 from probevo.output.inspection.profiles import profile_along
 from probevo.output.inspection.subject import (
     Findings,
@@ -190,19 +195,7 @@ def frame_pictures(view: CentersView, frame: FrameView, noise: StereoNoise) -> d
     }
     for column in view.used:
         shades[column.name] = column_shades(frame, column.name)
-    return {
-        name: (
-            caption,
-            draw_features(
-                frame.left,
-                frame.size_px,
-                frame.uv,
-                shades=colors,
-                out_of_domain=noise.out_of_domain,
-            ),
-        )
-        for name, (caption, colors) in shades.items()
-    }
+    return drawn(frame, shades, noise.out_of_domain)
 
 
 def column_table(view: CentersView, frame: FrameView | None) -> Table:

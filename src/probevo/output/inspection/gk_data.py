@@ -12,6 +12,7 @@ from probevo.arrays import FloatArray
 from probevo.noise.base import StereoNoise
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import UNDEFINED
+from probevo.output.inspection.profiles import inner_edges
 
 AXES = ("u_l", "v_l", "disparity")
 """Coordinates whose σ and bias are shown: those of the right image are much like the left ones."""
@@ -26,8 +27,7 @@ SEARCHED = {
     "dof_counts": "counts for ν",
 }
 """Settings that may have been searched for, in that order, and what they are called."""
-MOST_BINS = 16
-FEWEST_IN_BIN = 40
+MAX_BINS = 16
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,7 @@ def course_along(column: FloatArray, values: FloatArray) -> Course:
     """Follow C values [C] along a column [C], NaN where undefined."""
     # Bins of equally many centers; equal values stay together.
     known = np.isfinite(column)
-    count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
-    inner = np.linspace(0.0, 1.0, count + 1)[1:-1] if known.any() else np.zeros(0)
-    edges = np.unique(np.quantile(column[known], inner)) if len(inner) else inner
+    edges = inner_edges(column[known], MAX_BINS)
     bins = np.searchsorted(edges, column[known], side="right")
     share = (0.16, 0.5, 0.84)
     filled = np.unique(bins)

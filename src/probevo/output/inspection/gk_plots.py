@@ -22,8 +22,9 @@ from probevo.output.inspection.gk_data import (
     size_px,
 )
 from probevo.output.inspection.plots import (
-    MOST_PAIRED,
+    MAX_PAIRED,
     NARROW_IN,
+    axis_label,
     draw_column,
     two_histograms,
     window_of,
@@ -33,7 +34,7 @@ from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, ORAN
 
 COLORS = (CYCLE[0], CYCLE[2], CYCLE[3])
 """Colours of the three ``AXES``."""
-_MOST_LETTERS = 8
+_MAX_LETTERS = 8
 """Of two neighbouring ticks that fit side by side."""
 _LOGARITHMIC = ("σ, px", "ν")
 _NAMES = {"u_l": "$u_l$", "v_l": "$v_l$", "disparity": "disparity"}
@@ -145,7 +146,7 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
         is_weights = name == "weights"
         names = [str(m) if is_weights else _plain(m) for m in search["candidates"]]
         axes.plot(ranks, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
-        is_dense = max((len(a) + len(b) for a, b in pairwise(names)), default=0) > _MOST_LETTERS
+        is_dense = max((len(a) + len(b) for a, b in pairwise(names)), default=0) > _MAX_LETTERS
         turned: dict[str, Any] = (
             {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
             if is_weights or is_dense
@@ -180,7 +181,7 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
     norm = LogNorm(low, max(high, 1.001 * low))
     ticks = _ticks(low, high)
     figures = []
-    for i, j in combinations(range(min(len(view.used), MOST_PAIRED)), 2):
+    for i, j in combinations(range(min(len(view.used), MAX_PAIRED)), 2):
         figure = Figure(figsize=(NARROW_IN, 2.9))
         axes = figure.add_subplot()
         window = np.array([window_of(view.points[:, i]), window_of(view.points[:, j])])
@@ -198,8 +199,8 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
         if frame is not None:
             points = np.clip(frame.phi[:, [view.used[i].index, view.used[j].index]], *window.T)
             axes.plot(*points.T, "o", mfc="none", mec=ORANGE, ms=3.5, mew=0.8, rasterized=True)
-        axes.set_xlabel(_label(view, i))
-        axes.set_ylabel(_label(view, j))
+        axes.set_xlabel(axis_label(view.used[i].name, view.units))
+        axes.set_ylabel(axis_label(view.used[j].name, view.units))
         axes.grid(visible=False)
         bar = figure.colorbar(drawn, ax=axes, aspect=30, pad=0.02, label="σ, px")
         bar.outline.set_visible(False)
@@ -207,11 +208,6 @@ def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
         bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
         figures.append(figure)
     return figures
-
-
-def _label(view: CentersView, k: int) -> str:
-    name = view.used[k].name
-    return f"{name}, {view.units[name]}" if view.units.get(name) else name
 
 
 def histogram_figure(training: FloatArray, frame: FloatArray, label: str, prior: float) -> Figure:

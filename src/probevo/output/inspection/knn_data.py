@@ -11,11 +11,11 @@ from probevo.arrays import FloatArray, evenly
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.output.inspection.profiles import Profile, profile_along
 
-MOST_QUERIES = 4000
+MAX_QUERIES = 4000
 """Training samples whose weights are shown."""
-MOST_RADII = 800
+MAX_RADII = 800
 """Training samples whose distance to their neighbours is measured, at 20 ms each."""
-MOST_NEIGHBORS_OF = 50_000
+MAX_NEIGHBORS_OF = 50_000
 """Training samples that distances are measured to. Of more, this number is chosen evenly, and K is
 reduced in proportion."""
 FAR_QUANTILE = 0.99
@@ -48,7 +48,7 @@ class ModelView:
     def of(name: str, model: NearestNeighbors, units: Mapping[str, str]) -> ModelView:
         """Compute all that is shown of a fitted model."""
         points, log_alpha = model.samples()
-        chosen = points[evenly(len(points), MOST_QUERIES)]
+        chosen = points[evenly(len(points), MAX_QUERIES)]
         return ModelView(
             name=name,
             model=model,
@@ -57,7 +57,7 @@ class ModelView:
             log_alpha=log_alpha,
             profiles=tuple(profile_along(column, log_alpha) for column in points.T),
             beta=model.weights(chosen),
-            radius=neighbor_radius(model, points[evenly(len(points), MOST_RADII)]),
+            radius=neighbor_radius(model, points[evenly(len(points), MAX_RADII)]),
         )
 
     @property
@@ -98,7 +98,7 @@ def neighbor_radius(model: NearestNeighbors, points: FloatArray) -> FloatArray:
     close together, and the training data would look denser than any other drive can be.
     """
     all_samples = model.index_.samples
-    samples = all_samples[:, evenly(all_samples.shape[1], MOST_NEIGHBORS_OF)]
+    samples = all_samples[:, evenly(all_samples.shape[1], MAX_NEIGHBORS_OF)]
     wanted = max(1, round(model.neighbors * samples.shape[1] / all_samples.shape[1]))
     half_squares = 0.5 * np.sum(samples * samples, axis=0)
     queries = model.metric_.coordinates(points).astype(np.float32)
@@ -121,7 +121,7 @@ def rank_correlation(points: FloatArray) -> FloatArray:
     ranks = np.full(points.shape, np.nan)
     for m, column in enumerate(points.T):
         known = np.isfinite(column)
-        # Equal values share the mean of their ranks, lest their order in the file count.
+        # Equal values share the mean of their ranks, so that their order does not matter.
         _, inverse, count = np.unique(column[known], return_inverse=True, return_counts=True)
         ranks[known, m] = (np.cumsum(count) - 0.5 * (count - 1))[inverse]
         ranks[:, m] -= ranks[known, m].mean() if known.any() else 0.0

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from probevo.arrays import FloatArray
 from probevo.output.inspection.knn_data import ModelView, rank_correlation
 from probevo.output.inspection.plots import (
-    MOST_PAIRED,
+    MAX_PAIRED,
     NARROW_IN,
+    axis_label,
     draw_column,
     two_histograms,
     window_of,
@@ -127,7 +128,7 @@ def pairs_figures(view: ModelView, frame: FrameView | None) -> list[Figure]:
     The frame's features are points.
     """
     figures = []
-    for m, n in combinations(view.order[:MOST_PAIRED], 2):
+    for m, n in combinations(view.order[:MAX_PAIRED], 2):
         figure = Figure(figsize=(NARROW_IN, 2.9))
         axes = figure.add_subplot()
         x = view.points[:, m]
@@ -141,16 +142,11 @@ def pairs_figures(view: ModelView, frame: FrameView | None) -> list[Figure]:
         if frame is not None:
             points = np.clip(frame.phi[:, [m, n]], *np.array(window).T)
             axes.plot(*points.T, "o", color=ORANGE, ms=2.5, mew=0, alpha=0.8, rasterized=True)
-        axes.set_xlabel(_label(view, m))
-        axes.set_ylabel(_label(view, n))
+        axes.set_xlabel(axis_label(view.columns[m], view.units))
+        axes.set_ylabel(axis_label(view.columns[n], view.units))
         axes.grid(visible=False)
         figures.append(figure)
     return figures
-
-
-def _label(view: ModelView, m: int) -> str:
-    name = view.columns[m]
-    return f"{name}, {view.units[name]}" if name in view.units else name
 
 
 def weights_figure(view: ModelView, beta: FloatArray) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from probevo.output.svg import GREY, LEGEND_ABOVE, ORANGE, WIDTH_IN
 
 NARROW_IN = 4.0
 """Width of the figure of a single column of φ."""
-MOST_PAIRED = 4
-"""Columns of which each two are plotted over each other."""
+MAX_PAIRED = 4
+"""Number of columns that are plotted against each other, in pairs."""
 _BINS = 40
 _SHOWN = (0.005, 0.995)
 """The outermost half percent of the training samples on either side, and all beyond, lie in the
@@ -81,6 +82,12 @@ def window_of(values: FloatArray) -> tuple[float, float]:
     low, high = np.quantile(known, _SHOWN).tolist() if len(known) else (0.0, 0.0)
     least = 1e-6 + 1e-3 * abs(low)
     return (low, high) if high - low > least else (low - least, high + least)
+
+
+def axis_label(name: str, units: Mapping[str, str]) -> str:
+    """Return the name of a column with its unit, if it has one that is known."""
+    unit = units.get(name)
+    return f"{name}, {unit}" if unit else name
 
 
 def two_histograms(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.output.inspection.common_sections import percent, pictures_section
 from probevo.output.inspection.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.subject import Findings, FrameView, Picture, Subject
@@ -52,12 +52,25 @@ def column_shades(frame: FrameView, name: str) -> tuple[str, Shades]:
     return caption, value_shades(name, frame.columns[name], values)
 
 
-def drawn(frame: FrameView, shades: Mapping[str, tuple[str, Shades]]) -> dict[str, Picture]:
-    """Draw the features of a frame in several sets of colours, each with its caption."""
-    return {
-        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades=colors))
-        for name, (caption, colors) in shades.items()
-    }
+def drawn(
+    frame: FrameView,
+    shades: Mapping[str, tuple[str, Shades]],
+    out_of_domain: BoolArray | None = None,
+) -> dict[str, Picture]:
+    """Draw the features of a frame in several sets of colours, each with its caption.
+
+    Args:
+        frame: the frame, with N features.
+        shades: caption and colours of each picture, by its name.
+        out_of_domain: which features are out of a model's domain, [N]: all pictures mark them.
+    """
+    pictures = {}
+    for name, (caption, colors) in shades.items():
+        jpeg = draw_features(
+            frame.left, frame.size_px, frame.uv, shades=colors, out_of_domain=out_of_domain
+        )
+        pictures[name] = (caption, jpeg)
+    return pictures
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 
-MOST_BINS = 20
-FEWEST_IN_BIN = 40
+MAX_BINS = 20
+MIN_IN_BIN = 40
+"""Values in a bin, at least: a mean or a median of fewer says little."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,15 @@ class Profile:
     """Share of the variance of ln α that the bins explain, less what chance would give them."""
 
 
+def inner_edges(values: FloatArray, most: int) -> FloatArray:
+    """Return the edges between at most ``most`` bins of equally many values each, ascending."""
+    num_bins = int(np.clip(len(values) // MIN_IN_BIN, 1, most))
+    if num_bins == 1:
+        return np.zeros(0)
+    quantiles = np.linspace(0.0, 1.0, num_bins + 1)[1:-1]
+    return np.unique(np.quantile(values, quantiles))
+
+
 def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     """Compute the profile of N samples.
 
@@ -41,16 +51,14 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     """
     # Bins of equally many samples; equal values stay together, undefined ones have the last bin.
     known = np.isfinite(values)
-    count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
-    inner = np.linspace(0.0, 1.0, count + 1)[1:-1] if known.any() else np.zeros(0)
-    edges = np.unique(np.quantile(values[known], inner)) if len(inner) else inner
-    bins = np.where(known, np.searchsorted(edges, values, side="right"), MOST_BINS)
+    edges = inner_edges(values[known], MAX_BINS)
+    bins = np.where(known, np.searchsorted(edges, values, side="right"), MAX_BINS)
     used, bins = np.unique(bins, return_inverse=True)
     mean, error, number = _bin_means(bins, log_alpha)
     # Variance between the bins, less the one that chance would give their means.
     between = np.sum(number * ((mean - log_alpha.mean()) ** 2 - error**2)) / len(values)
     total = float(log_alpha.var())
-    regular = used < MOST_BINS
+    regular = used < MAX_BINS
     center = np.array([np.median(values[bins == b]) for b in np.flatnonzero(regular)])
     undefined = None if known.all() else (float(mean[-1]), float(error[-1]))
     share = float(np.clip(between / total, 0.0, 1.0)) if total > 0.0 else 0.0

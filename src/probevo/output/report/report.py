@@ -143,7 +143,7 @@ def write_report(
 def _key_figures(
     result: RunResult, drift: Drift, metrics: Metrics | None, truth_noise: float | None
 ) -> list[KeyFigure]:
-    """List the key figures of a run; ``truth_noise`` is as of ``truth_noise_ratio``."""
+    """List the key figures of a run; ``truth_noise`` is that of ``truth_noise_ratio``."""
     duration_s = float(result.stamps_ns[-1] - result.stamps_ns[0]) * 1e-9
     figures = [
         KeyFigure("Frames", f"{len(result):,}", aside=f"{readable(duration_s)} s"),

@@ -14,7 +14,7 @@ from probevo.output.domain import WARN_ABOVE
 from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
-_MOST_PLACES = 500
+_MAX_PLACES = 500
 """Places on the time axis; a longer run is shown in groups of steps."""
 STAGES = ("track", "calibrate", "predict", "consensus", "solve", "learn", "window", "sensors")
 """Stages of a step, in their order; each has the same colour in every report."""
@@ -36,7 +36,7 @@ def status_label(status: Status) -> str:
 
 def group_size(result: RunResult) -> int:
     """Return the number of steps at one place of the time axis."""
-    return -(-len(result.status) // _MOST_PLACES)
+    return -(-len(result.status) // _MAX_PLACES)
 
 
 def tracks_figure(result: RunResult) -> Figure:

@@ -19,9 +19,9 @@ from probevo.storage.files import check_folder, written_together
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """ROS 1's own list of messages, which rosbags follows, leaves out this one."""
-LARGEST_STAMP_NS = 2**31 * 10**9
+MAX_STAMP_NS = 2**31 * 10**9
 """Seconds are 32 bits in a header: until 2038."""
-NUM_TYPES = ("float32", "float64")
+FLOAT_TYPES = ("float32", "float64")
 
 
 class BagWriter:
@@ -58,7 +58,7 @@ class BagWriter:
     def write_transforms(
         self, topic: str, stamp_ns: int, transforms: list[Mapping[str, Any]]
     ) -> None:
-        """Add a message of transforms, as of ``transform_fields``, to ``/tf`` or ``/tf_static``.
+        """Add a message of transforms, made by ``transform_fields``, to ``/tf`` or ``/tf_static``.
 
         Raises:
             InputError: the stamp does not fit into a message of ROS.
@@ -102,7 +102,9 @@ class BagWriter:
         if kind == "BASE":
             if given is not None:
                 return given
-            return "" if detail[0] == "string" else (0.0 if detail[0] in NUM_TYPES else 0)
+            if detail[0] == "string":
+                return ""
+            return 0.0 if detail[0] in FLOAT_TYPES else 0
         (element_kind, element), count = detail
         if element_kind.name == "NAME":
             return [self._built(element, each) for each in given or ()]
@@ -177,7 +179,7 @@ def header_fields(stamp_ns: int, frame: str) -> dict[str, Any]:
     Raises:
         InputError: the stamp is negative or beyond 2038, which a header cannot say.
     """
-    if not 0 <= stamp_ns < LARGEST_STAMP_NS:
+    if not 0 <= stamp_ns < MAX_STAMP_NS:
         what = f"the stamp {stamp_ns} ns cannot be written as a time of ROS."
         raise InputError("stamps", what, "ROS has times from 1970 to 2038, counted from 1970.")
     stamp = {"sec": int(stamp_ns // 10**9), "nanosec": int(stamp_ns % 10**9)}

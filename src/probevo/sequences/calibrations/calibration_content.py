@@ -15,8 +15,8 @@ from probevo.geometry import se3
 from probevo.sequences.text import read_text
 from probevo.sequences.yaml_file import NoKeyTwice, load_yaml
 
-LARGEST_NUMBER = 1e300
-MOST_KEYS = 8
+MAX_NUMBER = 1e300
+MAX_KEYS = 8
 """Keys of a file of no known kind that its message lists."""
 _CURE = "Name a calibration of both cameras, as of Kalibr or OpenCV: see docs/recordings.md."
 
@@ -37,8 +37,8 @@ class CalibrationContent:
     def keys_text(self) -> str:
         """The first keys, for messages."""
         keys = [str(key) for key in self.values]
-        more = ", …" if len(keys) > MOST_KEYS else ""
-        return ", ".join(keys[:MOST_KEYS]) + more
+        more = ", …" if len(keys) > MAX_KEYS else ""
+        return ", ".join(keys[:MAX_KEYS]) + more
 
     def where(self, key: str = "") -> str:
         """Return the file and the key, for messages."""
@@ -78,13 +78,13 @@ class CalibrationContent:
         """Return a finite number.
 
         Raises:
-            InputError: there is no such key, or its value is none.
+            InputError: there is no such key, or its value is no finite number.
         """
         value = self.value(key)
         if isinstance(value, str):  # YAML 1.1 takes 1e-5, without a point, for text
             value = _number_of_text(value)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not abs(value) <= LARGEST_NUMBER:
+        if not is_number or not abs(value) <= MAX_NUMBER:
             raise InputError(self.where(key), f"is {brief(value)}; expected a finite number.")
         return float(value)
 

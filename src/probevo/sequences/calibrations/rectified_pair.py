@@ -12,10 +12,10 @@ from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import so3
 
-LARGEST_ROTATION_RAD = 1e-4
+MAX_ROTATION_RAD = 1e-4
 """Between cameras that are called rectified; over an image of 1,000 px, it is 0.1 px. Text files
 with six decimals round rotations by less."""
-LARGEST_OFFSET = 1e-3
+MAX_OFFSET = 1e-3
 """Offset along the other two axes, relative to the baseline; it is a rounding error likewise."""
 
 
@@ -54,8 +54,8 @@ def rectified_camera(
         raise InputError(where, what, "Those of a rectified pair are equal.")
     rotation_rad = float(np.linalg.norm(so3.log(T_right_left[:3, :3])))
     offset_m = T_right_left[:3, 3]
-    is_level = np.abs(offset_m[1:]).max() <= LARGEST_OFFSET * abs(offset_m[0])
-    if rotation_rad > LARGEST_ROTATION_RAD or not is_level:
+    is_level = np.abs(offset_m[1:]).max() <= MAX_OFFSET * abs(offset_m[0])
+    if rotation_rad > MAX_ROTATION_RAD or not is_level:
         what = (
             f"the right camera is turned by {np.rad2deg(rotation_rad):.3g}° and moved by"
             f" ({', '.join(f'{value:.4g}' for value in offset_m)}) m against the left one."

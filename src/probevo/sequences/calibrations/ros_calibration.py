@@ -74,7 +74,7 @@ def _rotation(camera: CalibrationContent) -> FloatArray:
     """Return the rotation from the raw to the rectified camera, [3, 3].
 
     Raises:
-        InputError: it is none.
+        InputError: the matrix is no rotation.
     """
     key = "rectification_matrix"
     return so3.check_rotation(camera.matrix(key, 3, 3), camera.where(key))

@@ -192,7 +192,7 @@ def _read_transformation(path: Path, name: str) -> FloatArray:
     """Read one pose of ``Transformations.txt``, whose names are comments above them, [4, 4].
 
     Raises:
-        InputError: there is none of this name, or it is no pose.
+        InputError: there is no transformation of this name, or it is no pose.
     """
     read_lines(path)  # refuses what is no text
     lines = path.read_text(encoding="utf-8").splitlines()

@@ -18,13 +18,13 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.sequences.calibrations.kitti_calibration import KittiCalibration
 from probevo.sequences.format_options import KITTI_FLOW_RATE_HZ
-from probevo.sequences.images import LARGEST_FILE_BYTES, list_images, read_gray, read_size_px
+from probevo.sequences.images import MAX_FILE_BYTES, list_images, read_gray, read_size_px
 from probevo.sequences.recording import StereoRecording
 from probevo.storage.files import check_regular
 
 TRUTH_FRAME = 10
 """Frame to which the true disparity belongs, and from which the true flow leads to the next."""
-MOST_SCENES = 6
+MAX_SCENES = 6
 """Scenes that a message names."""
 _NAME = re.compile(r"(\d{6})_(\d{2})\.png")
 _CAMERAS = (("image_0", "image_1"), ("image_2", "image_3"))
@@ -165,7 +165,7 @@ def _chosen(path: Path, scenes: list[int], scene: int | None) -> int:
         return int(scene)
     if scene is None and len(scenes) == 1:
         return scenes[0]
-    some = ", ".join(map(str, scenes[:MOST_SCENES])) + (" …" if len(scenes) > MOST_SCENES else "")
+    some = ", ".join(map(str, scenes[:MAX_SCENES])) + (" …" if len(scenes) > MAX_SCENES else "")
     cure = f"Give one of {some} with --scene, in Python as scene=…"
     if scene is None:
         raise InputError(path, f"holds {len(scenes)} scenes, and none is named.", cure)
@@ -178,14 +178,13 @@ def _read_16_bits(path: Path, channels: int) -> AnyArray:
     Raises:
         InputError: it is missing, damaged, or of another kind.
     """
-    check_regular(path, LARGEST_FILE_BYTES)
+    check_regular(path, MAX_FILE_BYTES)
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}.", _CURE) from None
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    found = 0 if image is None else 1 if image.ndim == 2 else image.shape[2]
-    if image is None or image.dtype != np.uint16 or found != channels:
+    if image is None or image.dtype != np.uint16 or np.atleast_3d(image).shape[2] != channels:
         what = f"this is not a PNG of 16 bits with {channels} channels."
         raise InputError(path, what, "Copy the file anew.")
     return np.asarray(image)

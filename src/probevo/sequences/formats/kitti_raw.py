@@ -122,7 +122,7 @@ def _rectified_camera_from_imu(drive: Path, cam_to_cam: KittiCalibration) -> Flo
     """Return T_cam_imu = T_rect T_cam_velo T_velo_imu, [4, 4]; T_rect is the rotation R_rect_00.
 
     Raises:
-        InputError: a file or field is missing, or a rotation is none.
+        InputError: a file or field is missing, or a matrix is no rotation.
     """
     T_rect = se3.from_parts(cam_to_cam.rotation("R_rect_00"), np.zeros(3))
     T_cam_velo = _read_calibration(drive, "calib_velo_to_cam.txt").rigid_transform()

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -247,11 +248,75 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
     gray_range = GrayRange.of([*left_images, *right_images]) if is_deep else None
     size_px = (left_images[0].shape[1], left_images[0].shape[0])
 
-    # Camera and rectification: from the calibration file, or else from the CameraInfo.
+    calibration = _calibration(path, content, topics, options=options, size_px=size_px)
+    imu = with_noise_of(calibration.imu, options.imu_noise)
+    notes = _notes(content, topics, pairs, pair_tolerance_ms, imu)
+    imu_stream: ImuStream | None = None
+    if imu is not None:
+        try:
+            imu_stream = _imu_stream(content, topics, imu, stamps_ns, path)
+        except InputError as error:
+            # An IMU that nobody asked for must not make a bag unusable.
+            if options.topics_imu is not None or options.imu_noise is not None:
+                raise
+            notes = (*notes, ("! IMU", _not_used(topics.imu, error)))
+    if imu_stream is not None and not np.isfinite(imu_stream.accel_m_s2).any():
+        notes = (*notes, ("IMU", f"{topics.imu} has no accelerations: only its gyro is used."))
+    truth: GroundTruth | None = None
+    try:
+        truth = _truth(
+            content, topics, options, stamps_ns, imu=imu, C_rect_left=calibration.C_rect_left
+        )
+    except InputError as error:
+        # Truth that was only recognised by the name of its topic must not make a bag unusable.
+        if options.truth is not None or options.topics_truth is not None:
+            raise
+        notes = (*notes, ("! truth", _not_used(topics.truth, error)))
+    return BagRecording(
+        path=path,
+        format="rosbag",
+        camera=calibration.camera,
+        stamps_ns=stamps_ns,
+        imu=imu if imu_stream is not None else None,
+        imu_stream=imu_stream,
+        truth=truth,
+        rectification=calibration.rectification,
+        gray_range=gray_range,
+        notes=notes,
+        left_topic=topics.left,
+        right_topic=topics.right,
+        left_frames=_frames_of(pairs.left, len(content.left_ns)),
+        right_frames=_frames_of(pairs.right, len(content.right_ns)),
+    )
+
+
+class _Calibration(NamedTuple):
+    """The calibration of the rig, from a file or from the bag."""
+
     camera: StereoCamera
     rectification: Rectification | None
-    imu: ImuCalibration | None
+    """None if the images are rectified."""
     C_rect_left: FloatArray
+    """Rotation from the raw to the rectified left camera, [3, 3]."""
+    imu: ImuCalibration | None
+    """None if nothing says where the IMU is."""
+
+
+def _calibration(
+    path: Path,
+    content: _Content,
+    topics: StereoTopics,
+    *,
+    options: RosbagOptions,
+    size_px: tuple[int, int],
+) -> _Calibration:
+    """Read the calibration file, or else CameraInfo and transforms of the bag.
+
+    Raises:
+        InputError: a part of it is missing or faulty, or it is for images of another size.
+    """
+    camera: StereoCamera
+    rectification: Rectification | None
     if options.calibration is not None:
         from_file = read_stereo_calibration(options.calibration, size_px, resized=options.resized)
         rectification = from_file.rectification()
@@ -282,42 +347,8 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
             " were scaled since they were calibrated."
         )
         raise InputError(f"{path}: {topics.left}", what, cure)
-    imu = with_noise_of(imu, options.imu_noise)
-    notes = _notes(content, topics, pairs, pair_tolerance_ms, imu)
-    imu_stream: ImuStream | None = None
-    if imu is not None:
-        try:
-            imu_stream = _imu_stream(content, topics, imu, stamps_ns, path)
-        except InputError as error:
-            # An IMU that nobody asked for must not make a bag unusable.
-            if options.topics_imu is not None or options.imu_noise is not None:
-                raise
-            notes = (*notes, ("! IMU", _not_used(topics.imu, error)))
-    if imu_stream is not None and not np.isfinite(imu_stream.accel_m_s2).any():
-        notes = (*notes, ("IMU", f"{topics.imu} has no accelerations: only its gyro is used."))
-    truth: GroundTruth | None = None
-    try:
-        truth = _truth(content, topics, options, stamps_ns, imu=imu, C_rect_left=C_rect_left)
-    except InputError as error:
-        # Truth that was only recognised by the name of its topic must not make a bag unusable.
-        if options.truth is not None or options.topics_truth is not None:
-            raise
-        notes = (*notes, ("! truth", _not_used(topics.truth, error)))
-    return BagRecording(
-        path=path,
-        format="rosbag",
-        camera=camera,
-        stamps_ns=stamps_ns,
-        imu=imu if imu_stream is not None else None,
-        imu_stream=imu_stream,
-        truth=truth,
-        rectification=rectification,
-        gray_range=gray_range,
-        notes=notes,
-        left_topic=topics.left,
-        right_topic=topics.right,
-        left_frames=_frames_of(pairs.left, len(content.left_ns)),
-        right_frames=_frames_of(pairs.right, len(content.right_ns)),
+    return _Calibration(
+        camera=camera, rectification=rectification, C_rect_left=C_rect_left, imu=imu
     )
 
 

@@ -25,7 +25,7 @@ SIDES = (
 """What a left topic is called, and what its right partner has in that place."""
 TRANSPORTS = ("compressed",)
 """Last parts of a topic's name that name how its images are sent."""
-MOST_LISTED = 20
+MAX_LISTED = 20
 """Topics that a message lists; more only if all of them have a type that is read."""
 TRUTH_NAMES = ("ground_truth", "groundtruth", "gt")
 """Parts of the name of a topic of poses that is taken for the truth without being named."""
@@ -103,7 +103,7 @@ def topic_list(topics: Iterable[Topic]) -> str:
     ranks = [*IMAGE_TYPES, INFO_TYPE, IMU_TYPE, *POSE_TYPES, *TRANSFORM_TYPES]
     ordered = sorted(topics, key=lambda topic: (_rank(topic.type, ranks), topic.name))
     num_read = sum(topic.type in ranks for topic in ordered)
-    num_listed = max(num_read, MOST_LISTED)
+    num_listed = max(num_read, MAX_LISTED)
     lines = [_described(topic) for topic in ordered[:num_listed]]
     if len(ordered) > num_listed:
         lines.append(f"… and {len(ordered) - num_listed} more, of types that are not read")

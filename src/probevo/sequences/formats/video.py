@@ -16,14 +16,14 @@ from probevo.errors import InputError
 from probevo.sequences.format_options import VIDEO_SUFFIXES, VideoOptions
 from probevo.sequences.formats.folder import read_cameras
 from probevo.sequences.frame import Frame
-from probevo.sequences.images import LARGEST_PX
+from probevo.sequences.images import MAX_PX
 from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.recording import ImageRecording
 from probevo.sequences.stamps import check_stamps, evenly_spaced
 from probevo.storage.files import check_regular
 
-LARGEST_FILE_BYTES = 1 << 42
-MOST_UNPAIRED = 0.02
+MAX_FILE_BYTES = 1 << 42
+MAX_UNPAIRED = 0.02
 """Share of the frames by which two videos may differ in length: one was stopped later."""
 
 
@@ -131,14 +131,14 @@ class _Video:
     """
 
     def __init__(self, path: Path) -> None:
-        check_regular(path, LARGEST_FILE_BYTES)
+        check_regular(path, MAX_FILE_BYTES)
         self.path = path
         self._capture = cv2.VideoCapture(str(path))
         if not self._capture.isOpened():
             what = "OpenCV cannot read this as a video."
             raise InputError(path, what, "Convert it, as to H.264 in .mp4, or to images.")
         width, height = self.size_px
-        if not 0 < width * height <= LARGEST_PX:
+        if not 0 < width * height <= MAX_PX:
             self.close()
             raise InputError(path, f"its images claim {width}×{height} px.", "Is it damaged?")
 
@@ -256,7 +256,7 @@ def _paired(path: Path, contents: list[_Content]) -> tuple[int, tuple[tuple[str,
     count = min(lengths)
     if len(lengths) == 1 or max(lengths) == count:
         return count, ()
-    if max(lengths) - count > max(2.0, MOST_UNPAIRED * count):
+    if max(lengths) - count > max(2.0, MAX_UNPAIRED * count):
         what = f"the left video has {lengths[0]} frames, the right one {lengths[1]}."
         raise InputError(path, what, "Frames are paired by their number; are frames missing?")
     text = f"{count}, by the number of the frame; the left video has {lengths[0]}, the right one"

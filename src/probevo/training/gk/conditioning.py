@@ -17,8 +17,8 @@ from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.jitter_numba import AXES
 from probevo.training.supervision import Supervision
 
-LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
-"""Least standard deviation of the truth, m and rad: no truth is more accurate."""
+MIN_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
+"""Smallest standard deviation of the truth, m and rad: no truth is more accurate."""
 FEW_STRETCHES = 20
 """With fewer stretches, the accuracy of the truth cannot be estimated reliably."""
 MEDIAN_CHI2 = 0.4549
@@ -29,7 +29,7 @@ thousand stretches."""
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
 hand."""
-MOST_COMMON = COMMON + AXES
+MAX_COMMON = COMMON + AXES
 """Largest number K of common-mode errors: those of the disparities, and of the rig's jitter."""
 
 
@@ -37,19 +37,19 @@ class StepCorrelations(NamedTuple):
     """The ``StepCorrelation`` of each of K − 1 steps, filled up with zeros."""
 
     with_before: FloatArray
-    """[K − 1, 6, MOST_COMMON]."""
+    """[K − 1, 6, MAX_COMMON]."""
     with_after: FloatArray
-    """[K − 1, 6, MOST_COMMON]."""
+    """[K − 1, 6, MAX_COMMON]."""
     transition: FloatArray
-    """[K − 1, MOST_COMMON, MOST_COMMON]."""
+    """[K − 1, MAX_COMMON, MAX_COMMON]."""
 
     @staticmethod
     def none(num_steps: int) -> StepCorrelations:
         """Return those of steps whose errors are independent."""
         return StepCorrelations(
-            with_before=np.zeros((num_steps, 6, MOST_COMMON)),
-            with_after=np.zeros((num_steps, 6, MOST_COMMON)),
-            transition=np.zeros((num_steps, MOST_COMMON, MOST_COMMON)),
+            with_before=np.zeros((num_steps, 6, MAX_COMMON)),
+            with_after=np.zeros((num_steps, 6, MAX_COMMON)),
+            transition=np.zeros((num_steps, MAX_COMMON, MAX_COMMON)),
         )
 
     @staticmethod
@@ -189,7 +189,7 @@ def conditioned(
         truth_sigma = _estimated_truth_sigma(solved)
     elif truth_sigma is None:
         truth_sigma = LOOP_SIGMA
-    P = np.diag(np.maximum(truth_sigma, LEAST_TRUTH_SIGMA) ** 2)
+    P = np.diag(np.maximum(truth_sigma, MIN_TRUTH_SIGMA) ** 2)
 
     for stretch in stretches:
         # Gate the truth.
@@ -229,12 +229,12 @@ def _cross_covariances(
     """
     cross_cov: FloatArray = cov @ np.swapaxes(to_end, 1, 2)
     # The steps before each.
-    before = np.zeros((6, MOST_COMMON))
+    before = np.zeros((6, MAX_COMMON))
     for k in range(len(cov)):
         cross_cov[k] += correlations.with_before[k] @ before.T
         before = before @ correlations.transition[k] + to_end[k] @ correlations.with_after[k]
     # The steps after each.
-    after = np.zeros((MOST_COMMON, 6))
+    after = np.zeros((MAX_COMMON, 6))
     for k in range(len(cov) - 1, -1, -1):
         cross_cov[k] += correlations.with_after[k] @ after
         after = (to_end[k] @ correlations.with_before[k]).T + correlations.transition[k] @ after
@@ -254,7 +254,7 @@ def _estimated_truth_sigma(stretches: Sequence[Stretch]) -> FloatArray:
     # Translations and rotations apart, [U, 2, 3]: one number for either, of stretches and axes.
     squared = np.square([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
     variances = np.reshape([np.diagonal(stretch.cov) for stretch in stretches], (-1, 2, 3))
-    least = LEAST_TRUTH_SIGMA.reshape(2, 3).max(axis=1)
+    least = MIN_TRUTH_SIGMA.reshape(2, 3).max(axis=1)
     if len(stretches) < FEW_STRETCHES:
         least = np.maximum(least, np.sqrt(np.median(variances, axis=(0, 2))))
     sigma = [_sigma_beyond(variances[:, i], squared[:, i], float(least[i])) for i in range(2)]

@@ -22,8 +22,8 @@ from probevo.training.trainer import TrainingContext
 BLOCKS_A_DRIVE = 10
 """Largest number of blocks of time into which a drive is cut for cross-validation."""
 STEPS_A_BLOCK = 20
-"""Least number of steps in a block: a shorter one would share its tracks with the next block."""
-MOST_FEATURES = 500_000
+"""Minimum number of steps in a block: a shorter one would share its tracks with the next block."""
+MAX_FEATURES = 500_000
 """Approximate largest number of features that a model is fitted to. If there are more, a random
 share is drawn, evenly from all drives and times."""
 
@@ -121,7 +121,7 @@ def gather_error_samples(
     # Draw a share of the features, the same of each drive.
     facts_of_drives = [drive.facts for drive in drives]
     num_used = sum(facts.used for facts in facts_of_drives)
-    share = min(1.0, MOST_FEATURES / max(num_used, 1))
+    share = min(1.0, MAX_FEATURES / max(num_used, 1))
 
     # The errors of each drive are one task.
     blocks = blocks_of([facts.steps for facts in facts_of_drives])

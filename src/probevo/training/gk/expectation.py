@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.estimation.disparity_filter import DisparityFilter, StepCorrelation
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
@@ -189,7 +189,7 @@ def feature_errors(
         first_feature += len(step.phi)
     if not found:
         return FeatureErrors.none(len(drive.facts.moments.mean))
-    return FeatureErrors.joined(found)
+    return concatenated(found)
 
 
 def solved_steps(

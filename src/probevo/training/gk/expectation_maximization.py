@@ -37,7 +37,7 @@ from probevo.training.trainer import TrainingContext
 STATIC_ITERATIONS = 5
 """Iterations of the static Student-t without time correlation; as many follow with it."""
 TIME_CORRELATION_GAIN = 0.03
-"""Least gain in likelihood, nats a feature, for which time-correlated errors are accepted. Where
+"""Smallest gain in likelihood, nats a feature, for which time-correlated errors are accepted. Where
 errors are new in each frame, but their noise differs from place to place, time correlation seems to
 gain up to 0.02 (point world, six laws); on KITTI it gains 0.15 to 0.65."""
 TIME_CORRELATION_STEP = 0.5

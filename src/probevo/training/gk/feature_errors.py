@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray, concatenated
+from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, log_density
 from probevo.training.gk.feature_errors_numba import ErrorArrays, ResidualArrays, rescale_errors
@@ -50,11 +49,6 @@ class FeatureErrors:
             profile=np.zeros((0, 4)),
             jitter_moments=np.zeros((0, 3, 3)),
         )
-
-    @staticmethod
-    def joined(parts: Sequence[FeatureErrors]) -> FeatureErrors:
-        """Concatenate the errors of at least one part."""
-        return concatenated(parts)
 
 
 def errors_of(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_jitter import LEAST_SIGMA_RAD, RigJitter
+from probevo.camera.rig_jitter import MIN_SIGMA_RAD, RigJitter
 from probevo.estimation.reprojection import SolvedJitter
 from probevo.estimation.two_frame import TwoFrameEstimate
 
@@ -65,7 +65,7 @@ def learned_covariance(second_moments: FloatArray) -> FloatArray:
     """Return S, [3, 3], rad², from the second moments of at least one change, [K, 3, 3]: M-step."""
     cov: FloatArray = 0.5 * second_moments.mean(axis=0)
     cov = 0.5 * (cov + cov.T)
-    return cov + LEAST_SIGMA_RAD**2 * np.eye(3)
+    return cov + MIN_SIGMA_RAD**2 * np.eye(3)
 
 
 def initial_covariance() -> FloatArray:

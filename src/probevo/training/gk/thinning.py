@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray
 from probevo.training.drive import Drive
-from probevo.training.gk.error_samples import MOST_FEATURES
+from probevo.training.gk.error_samples import MAX_FEATURES
 from probevo.training.supervised_drive import DriveOnDisk
 from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
@@ -41,7 +41,7 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
     # Thin only where the steps that are kept still have enough features to draw from.
     num_used = sum(drive.facts.used for drive in drives)
     # Share of the steps whose features are FEATURES_PER_DRAWN times those that are drawn from them
-    share = FEATURES_PER_DRAWN * MOST_FEATURES / max(num_used, 1)
+    share = FEATURES_PER_DRAWN * MAX_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)
 

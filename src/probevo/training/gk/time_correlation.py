@@ -26,8 +26,8 @@ from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, disparity_variance
 from probevo.noise.student_t_arrays import DIM
 
-LEAST_REST = 1e-3
-"""Least share of Σ along l that is left without the time-correlated part: l is taken where the
+MIN_REST = 1e-3
+"""Smallest share of Σ along l that is left without the time-correlated part: l is taken where the
 points end up, and Σ where they were observed."""
 TIE = 0.01
 """Difference in likelihood, nats a feature, up to which values of κ count as equally good. Few
@@ -97,7 +97,7 @@ def time_correlation_profile(
     # Σ contains the predicted part, κ₀² m mᵀ. Remove it by a rank-one downdate: the equations above
     # with −κ₀² for κ².
     removed = 0.0 if noise.time_correlated is None else noise.time_correlated[chosen] / variance
-    rest = np.maximum(1.0 - removed * b, LEAST_REST)
+    rest = np.maximum(1.0 - removed * b, MIN_REST)
     return TimeCorrelationProfile(
         squared=s + removed * a**2 / rest,
         cross=a / rest,

@@ -13,22 +13,22 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray, evenly
 from probevo.estimation.two_frame import TwoFrameEstimator
-from probevo.noise.probe.nearest_neighbors import LARGEST_BETA
+from probevo.noise.probe.nearest_neighbors import MAX_BETA
 from probevo.noise.probe.neighbor_index import NeighborIndex
 from probevo.training.probe.subsets import Stream, SubsetSampler
-from probevo.training.supervision import LEAST_ALPHA_M, from_step_to_step
+from probevo.training.supervision import MIN_ALPHA_M, from_step_to_step
 
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
 """Candidates for K."""
 EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 """Candidates for γ."""
-MOST_QUERIES = 20_000
+MAX_QUERIES = 20_000
 """Samples of all drives together on which values of K are compared; more would not change which is
 best."""
-LARGEST_LOG_WEIGHT = np.log(LARGEST_BETA)
-FEWEST_ERRORS = 10
-"""Number of errors from which on their standard error says how sure a mean is: of ten, a mean is
-more than one standard error off in 34 % of cases, of a Gaussian in 32 %, of three in 42 %."""
+MAX_LOG_WEIGHT = np.log(MAX_BETA)
+MIN_ERRORS = 10
+"""Minimum number of errors for a standard error of their mean: with ten, the mean is off by more
+than its standard error in 34 % of cases, with infinitely many in 32 %, with three in 42 %."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def choose_neighbors(coordinates: FloatArray, values: FloatArray, fold: IntArray
     candidates = np.array([k for k in NEIGHBORS if k <= fewest] or [max(1, fewest)])
 
     # Sum the squared error of each candidate, predicting each fold from the others.
-    queries = evenly(len(values), MOST_QUERIES)
+    queries = evenly(len(values), MAX_QUERIES)
     squared_error = np.zeros(len(candidates))
     for k in folds:
         is_other = fold != k
@@ -117,28 +117,28 @@ def choose_exponent(
     Where a drive has no known error, or a single one, as a closed loop has, the disagreement
     between the motions of two random halves of its features counts instead, step by step: one loop
     that by chance closes better must not decide. So it is for all drives if these have fewer than
-    ``FEWEST_ERRORS`` together. With fewer steps than that as well, γ is the least candidate.
+    ``MIN_ERRORS`` together. With fewer steps than that as well, γ is the least candidate.
 
     Args:
         samplers: one for each drive.
         log_relative_alphas: ln(mean of the K nearest α / ᾱ) of every feature of each drive, [n]
             each, learned from other folds than the feature's own.
     """
-    has_errors = sum(map(_num_errors, samplers)) >= FEWEST_ERRORS
+    has_errors = sum(map(_num_errors, samplers)) >= MIN_ERRORS
     # α of every stretch or step of all drives, for each candidate: [candidates, n].
     rows = []
     for gamma in EXPONENTS:
         alphas_of_drives = []
         for sampler, log_alpha in zip(samplers, log_relative_alphas, strict=True):
             # β = (ᾱ_K/ᾱ)^γ, bounded as in the model
-            beta = np.exp(np.clip(gamma * log_alpha, -LARGEST_LOG_WEIGHT, LARGEST_LOG_WEIGHT))
+            beta = np.exp(np.clip(gamma * log_alpha, -MAX_LOG_WEIGHT, MAX_LOG_WEIGHT))
             by_halves = not (has_errors and _num_errors(sampler))
             alphas_of_drives.append(_alphas(sampler, beta, by_halves=by_halves))
         rows.append(np.concatenate(alphas_of_drives))
     alphas = np.array(rows)
 
     # Where no half of a step can be solved, both keep the same motion: this says nothing of γ.
-    is_solved = (alphas > LEAST_ALPHA_M).all(axis=0)
+    is_solved = (alphas > MIN_ALPHA_M).all(axis=0)
     if is_solved.any():
         alphas = alphas[:, is_solved]
 
@@ -148,7 +148,7 @@ def choose_exponent(
     excess = alphas - alphas[np.argmin(errors)]
     chosen = 0
     count = alphas.shape[1]
-    if count >= FEWEST_ERRORS:
+    if count >= MIN_ERRORS:
         standard_error = excess.std(axis=1, ddof=1) / np.sqrt(count)
         chosen = int(np.argmax(excess.mean(axis=1) <= standard_error))
     return Search(candidates=EXPONENTS, errors=_plain(errors), chosen=EXPONENTS[chosen])
@@ -157,7 +157,7 @@ def choose_exponent(
 def _num_errors(sampler: SubsetSampler) -> int:
     """Return the number of known errors of a drive that γ may be chosen by.
 
-    A single one is none: see ``choose_exponent``.
+    A single one does not count: see ``choose_exponent``.
     """
     supervision = sampler.supervision
     count = len(supervision.stretches)
