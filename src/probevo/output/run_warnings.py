@@ -198,9 +198,9 @@ def fixed_warning(fixed: FixedFeatures | None) -> str | None:
         f"{fixed.num_fixed:,} of {fixed.num_moving:,} features that the motion should have moved by"
         f" {LEAST_SHIFT_PX:g} px or more stayed within {STILL_PX:g} px in both images, around"
         f" (u, v) = ({u:.0f} ± {spread_u:.0f}, {v:.0f} ± {spread_v:.0f}) px of left images. A part"
-        " of the vehicle seems to be in view, or something that moves along with it. Where it holds"
-        " most features, the path stands still with it, and the covariance does not know. Mask it:"
-        " --mask-left."
+        " of the vehicle seems to be in view, or something that moves along with it. It takes the"
+        " place of features of the scene, and may hold the path at rest while that hardly moves."
+        " Mask it: --mask-left."
     )
 
 
