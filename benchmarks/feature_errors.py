@@ -22,7 +22,7 @@ HALF_PX = 7
 """Half a window, in which features must be on one surface."""
 FLAT_PX = 0.05
 """A surface is one whose disparities differ from a plane by less than this."""
-LEAST_DISPARITY_PX = 0.2
+MIN_DISPARITY_PX = 0.2
 """Farther points tell nothing."""
 GROUND_PX = 15
 """Features count as on the ground from so many rows below the horizon on."""
@@ -47,7 +47,7 @@ def is_on_one_surface(disparity_px: FloatArray, pixels: FloatArray) -> BoolArray
     padded = np.pad(disparity_px, HALF_PX, mode="edge")
     window = sliding_window_view(padded, (size, size))[v, u].reshape(len(u), -1)
     flat: BoolArray = np.abs(window @ residual_maker()).max(axis=1) < FLAT_PX
-    return flat & (disparity_px[v, u] > LEAST_DISPARITY_PX)
+    return flat & (disparity_px[v, u] > MIN_DISPARITY_PX)
 
 
 def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ from probevo_sim.point_world import simulate_points
 EXAMPLE = Path(__file__).parents[1] / "examples" / "05_noise_for_gtsam.py"
 GTSAM_TOLERANCE = 1e-5
 """Default of GTSAM's Levenberg–Marquardt."""
-LEAST_DISPARITY_PX = 1.0
+MIN_DISPARITY_PX = 1.0
 """GTSAM's points have three finite coordinates."""
 POINT_DOF = 5.0
 POINT_SIGMA_PX = 0.2
@@ -124,7 +124,7 @@ def solve_by_stereo_factors(step: Step) -> FloatArray:
     prev_px = step.tracks.prev_px
     curr_px = step.tracks.curr_px
     disparity = np.minimum(prev_px[:, 0] - prev_px[:, 2], curr_px[:, 0] - curr_px[:, 2])
-    keep = np.flatnonzero(disparity > LEAST_DISPARITY_PX)
+    keep = np.flatnonzero(disparity > MIN_DISPARITY_PX)
     noise = step.noise.subset(keep)
     c = step.camera
     calibration = gtsam.Cal3_S2Stereo(c.fu_px, c.fv_px, 0.0, c.cu_px, c.cv_px, c.baseline_m)

@@ -25,6 +25,7 @@ from probevo.estimation.recovery import INLIERS_FACTOR
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations
+from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.inertial import Inertial
@@ -158,6 +159,11 @@ class StereoOdometry:
         return self._features.weights
 
     @property
+    def tracks_of_vehicle(self) -> Tracks:
+        """The tracks of the last step that are fixed to the vehicle, and no part of ``tracks``."""
+        return self._features.tracks_of_vehicle
+
+    @property
     def T_of_images(self) -> FloatArray:
         """The motion of the two-frame solve, [4, 4], m: before the window adjusts it, and before
         corrections; the dead-reckoned one if there is no accepted solve.
@@ -277,12 +283,30 @@ class StereoOdometry:
             )
         is_open = not is_frozen and may_be_frozen(state.frame, frame, model)
         clock.lap("track")
+        # A second search in the same images, from the last usable frame, finds them prepared.
+        prediction = replace(prediction, frame=frame)
+        return self._described(
+            prediction, tracked, clock, is_frozen=is_frozen, may_be_frozen=is_open
+        )
+
+    def _described(
+        self,
+        prediction: Prediction,
+        tracked: Tracked,
+        clock: StageClock,
+        *,
+        is_frozen: bool,
+        may_be_frozen: bool,
+    ) -> Observed:
+        """Correct the tracks of the scene for the rig, and compute their predictors."""
+        state = prediction.state
+        model = state.motion_model
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
         # Before the solve, the last velocity stands for that at either frame.
         twist = None if model.speed_is_unknown else model.twist
         corrected = CorrectedTracks.of(
-            tracked.tracks, state.rig, self.camera, prev_twist=twist, curr_twist=twist
+            tracked.tracks_of_scene, state.rig, self.camera, prev_twist=twist, curr_twist=twist
         )
         if state.rig is not None:
             clock.lap("calibrate")
@@ -292,20 +316,43 @@ class StereoOdometry:
                 self.camera,
                 prediction.motion.T_curr_prev,
                 prev_frame=state.frame,
-                curr_frame=frame,
+                curr_frame=prediction.frame,
                 previous_residuals=state.residuals,
             )
         )
         clock.lap("predict")
-        # A second search in the same images, from the last usable frame, finds them prepared.
-        prediction = replace(prediction, frame=frame)
         return Observed(
             prediction,
             tracked,
             corrected,
             phi,
             is_frozen=is_frozen,
-            may_be_frozen=is_open,
+            may_be_frozen=may_be_frozen,
+        )
+
+    def _without_vehicle(self, observed: Observed, solved: Solved, clock: StageClock) -> Observed:
+        """Return what is observed without features that are fixed to the vehicle, if a solve may
+        have taken these for the scene."""
+        tracks = observed.tracked.tracks_of_scene
+        if not many_stay(tracks.subset(solved.visual.used)):
+            return observed
+        prediction = observed.prediction
+        fixed_ids = fixed_to_vehicle(
+            tracks,
+            prediction.state.observations,
+            self.camera,
+            config=self.config,
+            rng=np.random.default_rng((self.config.seed, prediction.frame.index)),
+        )
+        clock.lap("consensus")
+        if not len(fixed_ids):
+            return observed
+        return self._described(
+            prediction,
+            observed.tracked.with_fixed(fixed_ids),
+            clock,
+            is_frozen=observed.is_frozen,
+            may_be_frozen=observed.may_be_frozen,
         )
 
     def _measure(self, prediction: Prediction, observed: Observed, clock: StageClock) -> Measured:
@@ -341,7 +388,13 @@ class StereoOdometry:
         If the tracks are lost right after dead-reckoned steps, search for the features of the last
         usable frame instead (``estimation.recovery``).
         """
-        solved = self._solve(observed, [*measured.by_gyro, *measured.motion_measurements], clock)
+        others = [*measured.by_gyro, *measured.motion_measurements]
+        solved = self._solve(observed, others, clock)
+        # Without features of the vehicle, if they feign rest
+        of_scene = self._without_vehicle(observed, solved, clock)
+        if of_scene is not observed:
+            observed = of_scene
+            solved = self._solve(observed, others, clock)
         # Recovery
         usable = observed.prediction.from_last_usable()
         if usable is None or not solved.is_lost:

@@ -28,7 +28,7 @@ class Observed:
     tracked: Tracked
     """The raw tracks, and the features to track from here on."""
     corrected: CorrectedTracks
-    """The N tracks, corrected by the rig's calibration."""
+    """The N tracks of the scene, corrected by the rig's calibration."""
     phi: FloatArray
     """The predictors of these tracks, [N, M]."""
     is_frozen: bool
@@ -99,6 +99,7 @@ class Solved:
             used=self.visual.used,
             weights=self.visual.weights,
             T_curr_prev=T_curr_prev,
+            tracks_of_vehicle=self.observed.tracked.tracks_of_vehicle,
         )
 
     @property

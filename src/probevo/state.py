@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class StepFeatures:
     """Robust weight of each track, [N], from 0 (outlier) to 1."""
     T_curr_prev: FloatArray
     """The motion of the two-frame solve, or else the dead-reckoned one, [4, 4], m."""
+    tracks_of_vehicle: Tracks = field(default_factory=Tracks.none)
+    """Those of features that are fixed to the vehicle, raw."""
 
     @staticmethod
     def none(num_columns: int) -> StepFeatures:

@@ -356,3 +356,20 @@ def test_a_frame_of_features_is_refused() -> None:
 
 def test_frames_with_images_get_this_tracker(frames: list[Frame]) -> None:
     assert isinstance(tracker_for(frames[0], CAMERA, CONFIG), ImageTracker)
+
+
+def test_features_fixed_to_the_vehicle_are_searched_where_they_are(frames: list[Frame]) -> None:
+    """The motion would take them out of reach; those of the scene are lost then."""
+    tracker = ImageTracker(CAMERA, CONFIG)
+    state = tracker.track(TrackingState.none(), frames[0], np.eye(4)).state
+    fixed_ids = state.ids[::2]
+    again = replace(frames[0], index=1)
+    far = se3.exp(np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    found = tracker.track(replace(state, fixed_ids=fixed_ids), again, far)
+    assert len(found.tracks_of_vehicle) > 0.9 * len(fixed_ids)
+    assert len(found.tracks_of_scene) < 0.1 * len(fixed_ids)
+    np.testing.assert_array_equal(found.state.fixed_ids, found.tracks_of_vehicle.ids)
+    # Of a scene that moves, none stays where it is.
+    moved = tracker.track(replace(state, fixed_ids=fixed_ids), frames[1], se3.exp(STEP))
+    assert len(moved.tracks_of_vehicle) < 0.1 * len(fixed_ids)
+    assert np.isin(fixed_ids, moved.tracks_of_scene.ids).mean() > 0.5

@@ -64,7 +64,7 @@ RANDOM_WALK = 0.02
 """Variance of the random walk of δ from frame to frame, in units of τ². Chosen by likelihood on
 KITTI: half as much costs 0.03 nats a feature, three times as much 0.04, and an additional decay
 towards zero 0.01."""
-LEAST_DISPARITY_PX = 0.1
+MIN_DISPARITY_PX = 0.1
 """Smallest disparity for which the ratio of two disparities is meaningful."""
 _CHOSEN = 1.0
 """Eigenvalue, negated, that sorts the directions of the jitter before all others, whose eigenvalues
@@ -255,8 +255,8 @@ class _JointPosterior:
         # seem observable, as in a filter with inconsistent linearisation points.
         point = solution.points.point[rows, 2]
         refined = solution.refined[rows, 2]
-        is_measurable = point > LEAST_DISPARITY_PX
-        growth = np.where(is_measurable, refined / np.maximum(point, LEAST_DISPARITY_PX), 1.0)
+        is_measurable = point > MIN_DISPARITY_PX
+        growth = np.where(is_measurable, refined / np.maximum(point, MIN_DISPARITY_PX), 1.0)
         # Of the filter's common errors only c: η° is among the unknowns of the solve. The row of d
         # is scaled, that of δ stays.
         common = prior.common_without_jitter.copy()

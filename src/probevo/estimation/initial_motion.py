@@ -13,7 +13,7 @@ from probevo.geometry import se3
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.tracking.tracks import Tracks
 
-FEWEST_INLIERS = 0.25
+MIN_INLIERS = 0.25
 """Least share of inliers. With fewer, the threshold is widened, and finally the motion is
 rejected."""
 WIDENINGS = (1.0, 2.0, 4.0)
@@ -24,7 +24,7 @@ NEAR_DISPARITY_PX = 2.0
 
 def are_enough(inliers: BoolArray, config: OdometryConfig) -> bool:
     """Return whether these inliers of N tracks are enough for a solve."""
-    return bool(inliers.sum() >= max(config.solver.min_tracks, FEWEST_INLIERS * len(inliers)))
+    return bool(inliers.sum() >= max(config.solver.min_tracks, MIN_INLIERS * len(inliers)))
 
 
 def initial_motion(

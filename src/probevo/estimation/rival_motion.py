@@ -26,10 +26,13 @@ from probevo.tracking.tracks import Tracks
 MIN_UNPREDICTED = 2
 """Minimum number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
 agree by chance."""
+AGAINST_FACTOR = 2.0
+"""Multiple of RANSAC's threshold from which on a track contradicts a motion that is not predicted:
+errors that all features share, as of a flexing rig, make no rival."""
 CONFIDENCE = 0.9999
 """Confidence of RANSAC, by which it takes twice as many samples as usual: less than half of the
 tracks agree on a rival."""
-LEAST_DISPARITY_PX = 2.0
+MIN_DISPARITY_PX = 2.0
 """Points with less disparity are too uncertain in depth to show how far they spread."""
 
 
@@ -67,7 +70,7 @@ def outranks(
     against_rival = best.contradicting(rival.T_curr_prev, camera, against_px)
     if len(against_best) < fewest:
         return False
-    return _presence_m3(against_best, camera) > _presence_m3(against_rival, camera)
+    return presence_m3(against_best, camera) > presence_m3(against_rival, camera)
 
 
 def rival_near_prediction(
@@ -112,11 +115,11 @@ def rival_near_prediction(
     return found if is_ranked_higher else None
 
 
-def _presence_m3(tracks: Tracks, camera: StereoCamera) -> float:
+def presence_m3(tracks: Tracks, camera: StereoCamera) -> float:
     """Return the number of tracked points, times the space that they spread over: the product of
     their standard deviations along the principal axes, m³."""
     prev_px = tracks.prev_px
-    near = prev_px[:, 0] - prev_px[:, 2] >= LEAST_DISPARITY_PX
+    near = prev_px[:, 0] - prev_px[:, 2] >= MIN_DISPARITY_PX
     if near.sum() < 2:
         return 0.0
     variance = np.linalg.eigvalsh(np.cov(camera.triangulate(prev_px[near]), rowvar=False))

@@ -13,7 +13,12 @@ from probevo.config import OdometryConfig
 from probevo.estimation.matched_rotation import matched_rotation
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
-from probevo.estimation.rival_motion import MIN_UNPREDICTED, Supported, outranks
+from probevo.estimation.rival_motion import (
+    AGAINST_FACTOR,
+    MIN_UNPREDICTED,
+    Supported,
+    outranks,
+)
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
@@ -101,7 +106,7 @@ class _Agreement(NamedTuple):
     @property
     def supported(self) -> Supported:
         """The motion with the tracks that agree."""
-        agreeing = self.followed.tracks.subset(self.consensus.inliers)
+        agreeing = self.followed.tracks_of_scene.subset(self.consensus.inliers)
         return Supported(self.consensus.T_curr_prev, agreeing)
 
 
@@ -137,7 +142,8 @@ def track_from_best_start(
     if not isinstance(tracker, ImageTracker):
         return tracker.track(state, frame, starts[0])
     found = [tracker.follow(state, frame, start) for start in starts]
-    is_lost = _most_are_lost(found, len(state))
+    num_features = len(state) - len(state.fixed_ids)
+    is_lost = _most_are_lost(found, num_features)
     if is_lost and prev_frame.left is not None and frame.left is not None:
         shown = matched_rotation(prev_frame.left, frame.left, camera)
         if shown is None:
@@ -153,7 +159,7 @@ def track_from_best_start(
             followed,
             camera,
             config,
-            num_features=len(state),
+            num_features=num_features,
             seed=[config.seed, frame.index],
         )
         for start, followed in zip(starts, found, strict=True)
@@ -165,8 +171,7 @@ def track_from_best_start(
             best.supported,
             camera,
             fewest=MIN_UNPREDICTED * config.solver.min_tracks,
-            # Errors that all features share, as of a flexing rig, make no rival.
-            against_px=2.0 * config.ransac.threshold_px,
+            against_px=AGAINST_FACTOR * config.ransac.threshold_px,
         ):
             best = rival
     return tracker.with_new_features(best.followed)
@@ -188,11 +193,12 @@ def _agreement(
         followed: the tracks.
         camera: the rectified camera.
         config: settings of RANSAC.
-        num_features: number of features in the previous frame.
+        num_features: number of features of the scene in the previous frame.
         seed: of RANSAC; the same for all starts, so that only the tracks differ.
     """
+    tracks = followed.tracks_of_scene
     consensus = find_consensus(
-        followed.tracks,
+        tracks,
         camera,
         rng=np.random.default_rng(seed),
         guess=start,
@@ -201,7 +207,7 @@ def _agreement(
     )
     num_inliers = int(consensus.inliers.sum())
     num_in_view = num_features - followed.num_left_the_view
-    share_of_found = num_inliers / max(len(followed.tracks), 1)
+    share_of_found = num_inliers / max(len(tracks), 1)
     share_in_view = num_inliers / max(num_in_view, 1)
     return _Agreement(followed, consensus, num_inliers * share_of_found * share_in_view)
 
@@ -215,5 +221,5 @@ def _most_are_lost(found: list[Followed], num_features: int) -> bool:
     if num_features == 0:
         return False
     num_in_view = num_features - min(followed.num_left_the_view for followed in found)
-    most_found = max(len(followed.tracks) for followed in found)
+    most_found = max(len(followed.tracks_of_scene) for followed in found)
     return most_found <= MIN_KEPT * num_in_view

@@ -15,7 +15,7 @@ from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
-from probevo.tracking.fixed_features import LEAST_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
+from probevo.tracking.fixed_features import MIN_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
 from probevo.tracking.left_right import MIN_MATCHES
 from probevo.tracking.tracks import OTHER_ROW
 
@@ -197,11 +197,11 @@ def fixed_warning(fixed: FixedFeatures | None) -> str | None:
     spread_u, spread_v = fixed.spread_px
     return (
         f"{fixed.num_fixed:,} of {fixed.num_moving:,} features that the motion should have moved by"
-        f" {LEAST_SHIFT_PX:g} px or more stayed within {STILL_PX:g} px in both images, around"
+        f" {MIN_SHIFT_PX:g} px or more stayed within {STILL_PX:g} px in both images, around"
         f" (u, v) = ({u:.0f} ± {spread_u:.0f}, {v:.0f} ± {spread_v:.0f}) px of left images. A part"
-        " of the vehicle seems to be in view, or something that moves along with it. Where it holds"
-        " most features, the path stands still with it, and the covariance does not know. Mask it:"
-        " --mask-left."
+        " of the vehicle seems to be in view, or something that moves along with it. It takes the"
+        " place of features of the scene, and may hold the path at rest while that hardly moves."
+        " Mask it: --mask-left."
     )
 
 
@@ -214,7 +214,7 @@ def rest_warning(steps: StepsAtRest | None) -> str | None:
         return None
     return (
         f"The path stands still in {steps.num_at_rest:,} of {steps.num_steps:,} steps, in which"
-        f" {100.0 * share:.0f} % of the features move by {LEAST_SHIFT_PX:g} px or more. If the"
+        f" {100.0 * share:.0f} % of the features move by {MIN_SHIFT_PX:g} px or more. If the"
         " camera moves, a part of the vehicle is in view and holds most features: mask it"
         " (--mask-left). If it rests, traffic passes, and the path is right."
     )

@@ -246,7 +246,9 @@ class _Records:
         self.timing.add(frame)
         self.of_images.add(odometry.T_of_images)
         if motion.status is Status.OK:
-            self.fixed.add(odometry.tracks, motion.T_curr_prev)
+            self.fixed.add(
+                odometry.tracks, motion.T_curr_prev, of_vehicle=odometry.tracks_of_vehicle
+            )
         seen = odometry.tracks.subset(odometry.used)
         self.heights.add(
             frame.stamp_ns,

@@ -55,5 +55,6 @@ class FeatureMatcher:
             pixels=pixels,
             age=age,
             is_given=True,
+            fixed_ids=state.fixed_after(tracks),
         )
         return Tracked(tracks, alive)

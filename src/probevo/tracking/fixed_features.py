@@ -1,8 +1,8 @@
 """Features that stay where they are in both images while the camera moves: those of the rig.
 
-A hood, a bumper, an arm, or a logo in the images looks like a scene at rest. Where it holds most of
-the features, so does the path, with a claim of millimetres. Where it does not, the motion that the
-others agree on tells which features do not belong to the scene.
+A hood, a bumper, an arm, or a logo in the images looks like a scene at rest. The motion that the
+other features agree on tells which do not belong to the scene. Where the odometry takes them for
+the scene (``estimation.vehicle_parts``), the path is at rest, with a claim of millimetres.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from probevo.tracking.tracks import Tracks
 STILL_PX = 0.5
 """A feature stays where it is if none of its four coordinates moves farther than this: two to three
 standard deviations of a tracked place."""
-LEAST_SHIFT_PX = 3.0
+MIN_SHIFT_PX = 3.0
 """A feature should have moved if the motion shifts it by this at least in the left image: six times
 as far as it may, so that no error of a motion that is about right makes a feature fixed."""
 
-LEAST_DISPARITY_PX = 1e-3
+MIN_DISPARITY_PX = 1e-3
 """Disparity of a point that is as good as at infinity."""
 
 
@@ -55,7 +55,7 @@ class StepsAtRest(NamedTuple):
     num_features: int
     """Features of the latter, summed."""
     num_passing: int
-    """Those of them that moved by ``LEAST_SHIFT_PX`` at least, as the scene does before a part of
+    """Those of them that moved by ``MIN_SHIFT_PX`` at least, as the scene does before a part of
     the vehicle that holds the path at rest, or traffic before a camera at rest."""
 
 
@@ -74,20 +74,25 @@ class FixedFeatureCount:
         self._sum_px2 = np.zeros(2)
         self._steps = StepsAtRest(0, 0, 0, 0)
 
-    def add(self, tracks: Tracks, T_curr_prev: FloatArray) -> None:
-        """Take the N tracks of a step and its motion, [4, 4], m."""
+    def add(
+        self, tracks: Tracks, T_curr_prev: FloatArray, of_vehicle: Tracks | None = None
+    ) -> None:
+        """Take the tracks of a step and its motion.
+
+        Args:
+            tracks: those that may be of the scene.
+            T_curr_prev: the motion, [4, 4], m.
+            of_vehicle: those that are known to be fixed to the vehicle; None for none.
+        """
+        if of_vehicle is not None:
+            self._count_fixed(of_vehicle, shifts_px(of_vehicle, T_curr_prev, self._camera))
         if not len(tracks):
             return
         shift_px = shifts_px(tracks, T_curr_prev, self._camera)
-        should_move = shift_px >= LEAST_SHIFT_PX
-        places_px = tracks.curr_px[should_move & are_still(tracks), :2]
-        self._num_moving += int(should_move.sum())
-        self._num_fixed += len(places_px)
-        self._sum_px += places_px.sum(axis=0)
-        self._sum_px2 += (places_px**2).sum(axis=0)
+        self._count_fixed(tracks, shift_px)
         is_at_rest = float(np.median(shift_px)) <= STILL_PX
         moved_px = np.linalg.norm(tracks.curr_px[:, :2] - tracks.prev_px[:, :2], axis=1)
-        num_passing = int((moved_px >= LEAST_SHIFT_PX).sum())
+        num_passing = int((moved_px >= MIN_SHIFT_PX).sum())
         before = self._steps
         self._steps = StepsAtRest(
             num_steps=before.num_steps + 1,
@@ -95,6 +100,15 @@ class FixedFeatureCount:
             num_features=before.num_features + is_at_rest * len(tracks),
             num_passing=before.num_passing + is_at_rest * num_passing,
         )
+
+    def _count_fixed(self, tracks: Tracks, shift_px: FloatArray) -> None:
+        """Count those of N tracks that stay although the motion shifts them, [N], px."""
+        should_move = shift_px >= MIN_SHIFT_PX
+        places_px = tracks.curr_px[should_move & are_still(tracks), :2]
+        self._num_moving += int(should_move.sum())
+        self._num_fixed += len(places_px)
+        self._sum_px += places_px.sum(axis=0)
+        self._sum_px2 += (places_px**2).sum(axis=0)
 
     @property
     def steps_at_rest(self) -> StepsAtRest:
@@ -133,7 +147,7 @@ def shifts_px(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> 
     """
     # What has no disparity, as an overlay in both images, is shifted like a point at infinity.
     before_px = tracks.prev_px.copy()
-    before_px[:, 2] = np.minimum(before_px[:, 2], before_px[:, 0] - LEAST_DISPARITY_PX)
+    before_px[:, 2] = np.minimum(before_px[:, 2], before_px[:, 0] - MIN_DISPARITY_PX)
     points = se3.transform(T_curr_prev, camera.triangulate(before_px))
     is_ahead = points[:, 2] > 0.0
     after_px = camera.project(points[is_ahead])

@@ -77,6 +77,11 @@ class Followed:
     """Predicted disparity of these, [N], px."""
 
     @property
+    def tracks_of_scene(self) -> Tracks:
+        """The tracks without those of features that are fixed to the vehicle."""
+        return Tracked(self.tracks, self.alive).tracks_of_scene
+
+    @property
     def num_left_the_view(self) -> int:
         """Number of features that the motion takes out of the image."""
         return self.tracks.rejected.get(LEFT_THE_VIEW, 0)
@@ -155,7 +160,7 @@ class ImageTracker:
         return Followed(
             images=images,
             tracks=tracks,
-            alive=alive,
+            alive=replace(alive, fixed_ids=state.fixed_after(tracks)),
             patches=in_stereo.patches,
             left_px=found.left_px,
             disparity_px=found.disparity_px,
@@ -212,6 +217,10 @@ class ImageTracker:
         # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
         # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
+        is_fixed = prev.are_fixed(prev.ids)
+        if is_fixed.any():
+            stay = move_surfaces(prev.pixels, patches.disparity_slope, np.eye(4), self._camera)
+            motion = motion.where(~is_fixed, stay)
         # ``alive`` are the rows of the features that have passed all checks so far, in ``prev``,
         # ``patches`` and ``motion``.
         alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))

@@ -45,6 +45,17 @@ class SurfaceMotion(NamedTuple):
             perspective=self.perspective[keep],
         )
 
+    def where(self, keep: BoolArray, other: SurfaceMotion) -> SurfaceMotion:
+        """Return the motion of those features that a mask, [N], keeps, and another one of the
+        others."""
+        return SurfaceMotion(
+            pixels=np.where(keep[:, None], self.pixels, other.pixels),
+            growth=np.where(keep, self.growth, other.growth),
+            ahead=np.where(keep, self.ahead, other.ahead),
+            affine=np.where(keep[:, None, None], self.affine, other.affine),
+            perspective=np.where(keep[:, None], self.perspective, other.perspective),
+        )
+
 
 def move_surfaces(
     pixels: FloatArray, slope: FloatArray, T_b_a: FloatArray, camera: StereoCamera

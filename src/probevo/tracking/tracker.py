@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.sequences.frame import Frame
 from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.fixed_features import are_still
 from probevo.tracking.lucas_kanade import Pyramid
 from probevo.tracking.observations import FrameObservations
 from probevo.tracking.tracks import Tracks
@@ -33,6 +34,8 @@ class TrackingState:
     """The identity that the next new feature gets."""
     is_given: bool = False
     """Whether the features come from another front end, as in a tracks file."""
+    fixed_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Identities of those that are fixed to the vehicle (``estimation.vehicle_parts``), [F]."""
 
     @staticmethod
     def none(next_id: int = 0) -> TrackingState:
@@ -47,6 +50,17 @@ class TrackingState:
     def __len__(self) -> int:
         """Return the number of features, N."""
         return len(self.ids)
+
+    def are_fixed(self, ids: IntArray) -> BoolArray:
+        """Return which of N features, given by their identities, are fixed to the vehicle, [N]."""
+        if not len(self.fixed_ids):
+            return np.zeros(len(ids), np.bool_)
+        return np.isin(ids, self.fixed_ids)
+
+    def fixed_after(self, tracks: Tracks) -> IntArray:
+        """Return the identities of those fixed features that their tracks, [N], leave where they
+        are; one that has moved is not fixed any more."""
+        return tracks.ids[self.are_fixed(tracks.ids) & are_still(tracks)]
 
     def subset(self, keep: BoolArray | IntArray) -> TrackingState:
         """Select some features by a mask, [N], or by indices."""
@@ -81,6 +95,22 @@ class Tracked:
     """Features of the previous frame that were found again; raw observations."""
     state: TrackingState
     """All features of this frame, new ones included."""
+
+    @property
+    def tracks_of_scene(self) -> Tracks:
+        """The tracks without those of features that are fixed to the vehicle."""
+        is_fixed = self.state.are_fixed(self.tracks.ids)
+        return self.tracks.subset(~is_fixed) if is_fixed.any() else self.tracks
+
+    @property
+    def tracks_of_vehicle(self) -> Tracks:
+        """The tracks of features that are fixed to the vehicle."""
+        return self.tracks.subset(self.state.are_fixed(self.tracks.ids))
+
+    def with_fixed(self, ids: IntArray) -> Tracked:
+        """Return the result with further features that are fixed to the vehicle."""
+        fixed_ids = np.concatenate([self.state.fixed_ids, ids])
+        return replace(self, state=replace(self.state, fixed_ids=fixed_ids))
 
     @staticmethod
     def nothing(state: TrackingState) -> Tracked:

@@ -61,7 +61,7 @@ _ERROR = _RIG + RIG
 """The column of the error in a linearised observation."""
 COMMON_COLUMNS = LANDMARK + RIG + 1
 """Columns of the states that all observations of a landmark have in common, and of the error."""
-LEAST_DEPTH = 1e-3
+MIN_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
 BEHIND_CAMERA = 1e6
 """Squared distance of an observation whose landmark has got behind the camera."""
@@ -223,7 +223,7 @@ def _project(
     inverse_depth = state[2] / camera.fb
     for i in range(3):
         ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
-    return bool(ray[2] > LEAST_DEPTH)
+    return bool(ray[2] > MIN_DEPTH)
 
 
 @compiled_into_callers

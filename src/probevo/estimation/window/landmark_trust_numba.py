@@ -44,7 +44,7 @@ VELOCITY = 3
 """Components of a velocity in the image: of u, v and d."""
 TESTED = LANDMARK + VELOCITY
 """States of a landmark that is tested for a velocity."""
-LEAST_CURVATURE = 0.75
+MIN_CURVATURE = 0.75
 """Least curvature of a landmark, over its weight. The residual of the best fit is orthogonal to its
 own states, so that the Hessian along these is the weight, and steps with less than half of it
 diverge. The mean curvature is less where there is one observation, with one degree of freedom."""
@@ -85,7 +85,7 @@ def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
         return Trust(
             cost=static_weight * 0.5 * (parameter + free) * math.log1p(total / parameter),
             weight=static_weight * weight,
-            curvature=static_weight * weight * max(LEAST_CURVATURE, share),
+            curvature=static_weight * weight * max(MIN_CURVATURE, share),
         )
     scale = free / PIXELS
     return Trust(

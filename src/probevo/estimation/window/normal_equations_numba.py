@@ -46,9 +46,9 @@ from probevo.estimation.window.landmark_trust_numba import (
     velocity_squared,
 )
 
-FEWEST_OBSERVATIONS = 3
+MIN_OBSERVATIONS = 3
 """Observations of a landmark that is tested: two of them show nothing but one velocity."""
-LARGEST_SHIFT_PX = 30.0
+MAX_SHIFT_PX = 30.0
 """No landmark lies farther than this from where its anchor frame has seen it. Where observations
 contradict one another, a step may lead anywhere; so far off, rounding would spoil the sums."""
 
@@ -133,7 +133,7 @@ def static_weights(
     weights = landmarks.static_weight.copy()
     for row in range(len(weights)):
         count = observations.start[row + 1] - observations.start[row]
-        if count >= FEWEST_OBSERVATIONS:
+        if count >= MIN_OBSERVATIONS:
             error = landmarks.state[row, 3]
             total = linearize_track(row, problem, track)
             total += landmarks.error_information[row] * error * error
@@ -183,7 +183,7 @@ def move_landmarks(
         dv = abs(moved[row, 1] - first[1])
         dd = abs(moved[row, 2] - (first[0] - first[2]))
         # Negated, so that a step of NaN is caught, too.
-        if not (du < LARGEST_SHIFT_PX and dv < LARGEST_SHIFT_PX and dd < LARGEST_SHIFT_PX):
+        if not (du < MAX_SHIFT_PX and dv < MAX_SHIFT_PX and dd < MAX_SHIFT_PX):
             moved[row, 0] = first[0]
             moved[row, 1] = first[1]
             moved[row, 2] = first[0] - first[2]
