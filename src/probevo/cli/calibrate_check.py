@@ -110,7 +110,7 @@ def _imu_notes(found: CalibrationCheck) -> list[str]:
 
 
 def _camera_notes(found: CalibrationCheck) -> list[str]:
-    """Say what the lenses do, and what is known of the scale and of the height."""
+    """Say what the lenses do, whether anything tells the scale, and how high the camera is."""
     from probevo.camera.distortion_field import root_mean_square_px
 
     notes = []
