@@ -30,7 +30,7 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.runs.runner import SmoothedPath
+from probevo.runs.smoothed_path import SmoothedPath
 from probevo_sim.scene.config import Effects, SceneConfig
 from probevo_sim.scene.writer import write_scene
 

@@ -14,11 +14,12 @@ import pytest
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.cli.calibrate_check import check
+from probevo.cli.calibrate_check import report_lines
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.output.calibration_picture import write_calibration_picture
+from probevo.runs.calibration_check import check_calibration
 from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -98,8 +99,13 @@ def marked(lines: list[str]) -> set[str]:
     return {line[2:].split("  ")[0] for line in lines if re.match(r"! .*  ", line)}
 
 
+def report(recording: World) -> list[str]:
+    """Lines that the command prints."""
+    return report_lines(recording.path, check_calibration(recording, FRAMES))
+
+
 def test_a_flawless_recording_has_nothing_marked(world: World) -> None:
-    lines = check(world, FRAMES).lines
+    lines = report(world)
     assert marked(lines) == set()
     assert lines[-1] == "Nothing is further from zero than chance would have it."
     text = "\n".join(lines)
@@ -111,7 +117,7 @@ def test_a_flawless_recording_has_nothing_marked(world: World) -> None:
 def test_rows_and_their_angle(world: World) -> None:
     """A right camera pitched by a milliradian."""
     shift = np.array([0.0, 0.0, 0.0, 1e-3 * CAMERA.fv_px])
-    lines = check(changed(world, lambda pixels, k: pixels + shift), FRAMES).lines
+    lines = report(changed(world, lambda pixels, k: pixels + shift))
     assert "rows, all" in marked(lines)
     assert any("pitched by +0.057°" in line for line in lines)
     assert any("odometry corrects these errors by itself" in line for line in lines)
@@ -135,7 +141,7 @@ def test_a_late_right_image(world: World) -> None:
                 moved[row, 2:] += 0.1 * (after - pixels[row])[2:]
         return moved
 
-    lines = check(changed(world, late), FRAMES).lines
+    lines = report(changed(world, late))
     assert "right image is late" in marked(lines)
     (cure,) = [line for line in lines if line.startswith("! right image is late: ")]
     late_ms = re.search(r"exposed ([0-9.]+) ms later", cure)
@@ -146,7 +152,7 @@ def test_a_late_right_image(world: World) -> None:
 def test_scale(world: World) -> None:
     truth = world.truth.T_world_cam.copy()
     truth[:, :3, 3] *= 0.9
-    lines = check(replace(world, truth=GroundTruth(world.stamps_ns, truth)), FRAMES).lines
+    lines = report(replace(world, truth=GroundTruth(world.stamps_ns, truth)))
     assert marked(lines) == {"scale against the truth"}
     assert any("divide baseline_m by 1.11" in line for line in lines)
 
@@ -154,21 +160,21 @@ def test_scale(world: World) -> None:
 def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> None:
     stream = world.imu_stream
     late = replace(stream, stamps_ns=stream.stamps_ns + 30_000_000)
-    lines = check(replace(world, imu_stream=late), FRAMES).lines
+    lines = report(replace(world, imu_stream=late))
     assert "IMU's clock is late" in marked(lines)
     assert any("time_offset_s (Kalibr: timeshift_cam_imu) to 0.03" in line for line in lines)
 
     degrees = replace(
         stream, gyro_rad_s=np.rad2deg(stream.gyro_rad_s), accel_m_s2=stream.accel_m_s2 / 9.81
     )
-    lines = check(replace(world, imu_stream=degrees), FRAMES).lines
+    lines = report(replace(world, imu_stream=degrees))
     assert {"gyro, scale", "accelerometer, gravity"} <= marked(lines)
     assert any("degrees per second" in line for line in lines)
     assert any("in g: multiply by 9.81" in line for line in lines)
 
     turned = CALIBRATION.T_cam_imu.copy()
     turned[:3, :3] = so3.exp(np.array([0.1, 0.0, 0.0])) @ turned[:3, :3]
-    lines = check(replace(world, imu=replace(CALIBRATION, T_cam_imu=turned)), FRAMES).lines
+    lines = report(replace(world, imu=replace(CALIBRATION, T_cam_imu=turned)))
     assert "gyro, mounting about x" in marked(lines)
     (matrix,) = [line for line in lines if line.startswith("The rotation in T_cam_imu")]
     numbers = [float(text) for text in re.findall(r"[+-][0-9.]+\b", matrix)]
@@ -178,9 +184,9 @@ def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> 
 def test_swapped_images_and_short_recordings_are_refused(world: World) -> None:
     swapped = changed(world, lambda pixels, k: pixels[:, [2, 3, 0, 1]])
     with pytest.raises(InputError, match="Are left and right swapped"):
-        check(swapped, FRAMES)
+        check_calibration(swapped, FRAMES)
     with pytest.raises(InputError, match="it has 5 frames; 12 at least are needed"):
-        check(world, 5)
+        check_calibration(world, 5)
 
 
 def test_the_command_names_what_is_wrong(
@@ -195,7 +201,7 @@ def test_the_command_names_what_is_wrong(
 
 @pytest.mark.parametrize("ending", [".png", ".svg", ".pdf"])
 def test_the_picture_is_the_same_bytes_each_time(world: World, tmp_path: Path, ending: str) -> None:
-    found = check(world, 20)
+    found = check_calibration(world, 20)
     files = [tmp_path / f"{name}{ending}" for name in ("first", "second")]
     for file in files:
         write_calibration_picture(

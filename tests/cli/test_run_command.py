@@ -179,7 +179,7 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     "place",
     [
         "probevo.output.run_result.RunRecorder.add",
-        "probevo.runs.runner.SmoothedPath.add",
+        "probevo.runs.smoothed_path.SmoothedPath.add",
         "probevo.runs.runner._Pictures.add",
         "probevo.tracking.pair_timing.PairTiming.add",
         "probevo.evaluation.ground_height.GroundHeights.add",

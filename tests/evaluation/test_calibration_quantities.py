@@ -5,10 +5,11 @@ import pytest
 
 from inertial_worlds import CALIBRATION, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
-from probevo.cli.calibrate_check import _is_marked, _largest_z
 from probevo.evaluation.calibration_quantities import (
     Quantity,
     gravity_quantity,
+    is_marked,
+    largest_z,
     scale_quantity,
 )
 from probevo.evaluation.clustered_regression import two_sided_p
@@ -24,7 +25,7 @@ def test_what_is_marked_is_what_is_beyond_the_band(dof: float) -> None:
     """Whether σ is from few frames or many; the picture draws one band for all."""
     for value in np.linspace(-6.0, 6.0, 41):
         one = quantity(value, dof)
-        assert _is_marked(one, 12) == (abs(one.z) > _largest_z(12))
+        assert is_marked(one, 12) == (abs(one.z) > largest_z(12))
         assert np.sign(one.z) == np.sign(value)
 
 
@@ -62,7 +63,7 @@ def test_gravity_tells_the_scale_of_the_accelerometer(
     assert found is not None
     # The bias of these samples is of 0.05 m/s² along each axis.
     assert found.value == pytest.approx(9.81 * (factor - 1.0), abs=0.2)
-    assert _is_marked(found, 12) == is_wrong
+    assert is_marked(found, 12) == is_wrong
 
 
 def poses_of(positions_m: FloatArray) -> FloatArray:
@@ -82,7 +83,7 @@ def test_scale_of_a_path_against_the_truth(step_m: float, factor: float, is_wron
         poses_of(factor * true + 1e-3 * rng.normal(size=true.shape)),
         poses_of(true + 5e-3 * rng.normal(size=true.shape)),
     )
-    assert is_wrong == (found is not None and _is_marked(found, 12))
+    assert is_wrong == (found is not None and is_marked(found, 12))
     if found is not None and step_m:
         assert found.value == pytest.approx(100.0 * (factor - 1.0), abs=0.2)
         assert found.sigma < 0.5

@@ -5,10 +5,11 @@ import pytest
 
 import probevo as pv
 from probevo.camera.stereo import StereoCamera
-from probevo.cli.calibrate_check import check
+from probevo.cli.calibrate_check import report_lines
 from probevo.evaluation.ground_height import MIN_BLOCKS, GroundHeight, GroundHeights
 from probevo.geometry import se3
 from probevo.output.run_warnings import height_warning
+from probevo.runs.calibration_check import check_calibration
 from probevo.runs.runner import run_sequence
 
 CAMERA = StereoCamera(
@@ -162,7 +163,8 @@ def test_kitti_is_as_high_as_its_set_up_says(
 
 
 def test_calibrate_check_says_the_height(data_root: Path) -> None:
-    lines = check(pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06"), 60).lines
+    sequence = pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06")
+    lines = report_lines(sequence.path, check_calibration(sequence, 60))
     said = [line for line in lines if line.startswith("Height: ")]
     assert len(said) == 1
     assert "the left camera is 1.65" in said[0]

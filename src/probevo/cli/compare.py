@@ -13,6 +13,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.cli.run import default_common_settings
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.output.run_files import REPORT
 from probevo.run_config import CommonRunSettings, ReadSettings, RunConfig, run_config
 
 if TYPE_CHECKING:
@@ -292,7 +293,7 @@ def _run(job: Job, threads: int, prefix: str) -> Entry:
         truth=done.truth,
         metrics=done.metrics,
         pictures=done.pictures,
-        report=job.out / "report.html",
+        report=job.out / REPORT,
         config=job.config,
         learned_from_it=job.learned_from_it,
     )

@@ -11,17 +11,13 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
+from probevo.output.run_files import MOTIONS, SETTINGS, VIEWER_SUFFIX
 from probevo.run_config import ReadSettings, RosSettings
+from probevo.sequences.format_options import BAG_SUFFIXES
 
 if TYPE_CHECKING:
     from probevo.output.run_result import RunResult
     from probevo.sequences import Sequence
-
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-VIEWER_SUFFIX = ".rrd"
-SETTINGS = "config.yaml"
-MOTIONS = "motions.npz"
-"""What makes a folder that of a run."""
 
 
 @dataclass(frozen=True)

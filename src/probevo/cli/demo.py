@@ -11,6 +11,7 @@ import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import columns
+from probevo.output.run_files import REPORT
 from probevo.run_config import RunConfig
 from probevo.training.settings import TrainSettings
 from probevo_sim.scene.config import Effects, SceneConfig
@@ -166,7 +167,7 @@ def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:
         truth=done.truth,
         metrics=done.metrics,
         pictures=done.pictures,
-        report=folder_of_run / "report.html",
+        report=folder_of_run / REPORT,
     )
 
 

@@ -12,6 +12,7 @@ import tyro
 from probevo.cli.arguments import parse
 from probevo.cli.text import columns
 from probevo.errors import InputError
+from probevo.output.run_files import METRICS, MOTIONS
 
 if TYPE_CHECKING:
     from probevo.arrays import FloatArray, IntArray
@@ -90,8 +91,8 @@ def main(words: list[str]) -> None:
         if warning is not None:
             print(f"probevo: warning: {warning}", file=sys.stderr)
     if run is not None:
-        write_json(arguments.run / "metrics.json", metrics.as_dict())
-        print(f"written: {arguments.run / 'metrics.json'}")
+        write_json(arguments.run / METRICS, metrics.as_dict())
+        print(f"written: {arguments.run / METRICS}")
 
 
 def _estimate(path: Path) -> Trajectory:
@@ -100,7 +101,7 @@ def _estimate(path: Path) -> Trajectory:
     Raises:
         InputError: the folder has no motions, or a file is damaged.
     """
-    from probevo.output.run_folder import MOTIONS, read_run
+    from probevo.output.run_folder import read_run
 
     if not path.is_dir():
         return read_trajectory(path)

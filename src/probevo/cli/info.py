@@ -16,11 +16,13 @@ from probevo.run_config import ReadSettings, RunConfig
 if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
     from probevo.measurements.imu_reason import ImuReason
+    from probevo.runs.first_matches import FirstMatches
     from probevo.sequences import Sequence
     from probevo.sequences.imu import ImuStream
 
-Rows = list[tuple[str, str]]
-"""Name and text of each line; the names of warnings start with "!"."""
+Row = tuple[str, str]
+"""Name and text of a line; the names of warnings start with "!"."""
+Rows = list[Row]
 USUAL_VIEW_DEG = (20.0, 150.0)
 """Usual horizontal field of view."""
 USUAL_BASELINE_M = (0.03, 3.0)
@@ -350,13 +352,10 @@ def examine(sequence: Sequence) -> Rows:
 
     They show the disparity, the row offset, and whether left and right are swapped or the same.
     """
-    import numpy as np
-
-    from probevo.tracking import TrackingState, Tracks, tracker_for
+    from probevo.runs.first_matches import first_matches
     from probevo.tracking.left_right import (
         FRAMES_TO_SEE,
         are_identical,
-        count_matches,
         how_to_swap,
         looks_swapped,
     )
@@ -369,68 +368,73 @@ def examine(sequence: Sequence) -> Rows:
         return [("! images", text)]
     if len(frames) < 2:
         return []
-
-    # Track the first frames as the odometry would, but without any prediction.
-    config = RunConfig().tracking
-    tracker = tracker_for(frames[0], sequence.camera, config)
-    state = TrackingState.none()
-    tracks: list[Tracks] = []
-    for frame in frames:
-        tracked = tracker.track(state, frame, np.eye(4))
-        state = tracked.state
-        tracks.append(tracked.tracks)
-    num_positive, num_negative = np.sum([count_matches(each) for each in tracks], axis=0).tolist()
-    num_matches = num_positive + num_negative
-    pixels = np.concatenate([each.curr_px for each in tracks])
-    disparity_px = pixels[:, 0] - pixels[:, 2]
+    found = first_matches(frames, sequence.camera)
+    num_matches = found.num_positive + found.num_negative
     has_images = frames[0].features is None
     ask_if_same, ask_if_poor = IMAGE_QUESTIONS if has_images else FEATURE_QUESTIONS
-
     # This check comes first: noise makes most disparities of an image with itself negative, which
     # would look as if left and right were swapped.
-    if (
-        len(pixels) > 0.1 * num_matches
-        and np.percentile(np.abs(disparity_px), 90) < MIN_DISPARITY_PX
-    ):
+    if len(found.pixels) > 0.1 * num_matches and _is_without_disparity(found):
         text = f"nine of ten are under {MIN_DISPARITY_PX} px. {ask_if_same}"
         return [("! disparity", text)]
-    if looks_swapped(num_positive, num_negative):
+    if looks_swapped(found.num_positive, found.num_negative):
         text = (
-            f"{num_negative} of {num_matches} have negative disparity. Are left and right swapped?"
-            f" {how_to_swap(sequence.path)}"
+            f"{found.num_negative} of {num_matches} have negative disparity. Are left and right"
+            f" swapped? {how_to_swap(sequence.path)}"
         )
         return [("! matches", text)]
-    if len(pixels) < 2:
-        return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. {ask_if_poor}")]
+    if len(found.pixels) < 2:
+        text = f"{len(found.pixels)} in the first {found.num_frames} frames. {ask_if_poor}"
+        return [("! matches", text)]
+    min_tracks = MIN_TRACKS if has_images else 0
+    return [
+        _tracks_row(found, min_tracks, ask_if_few=ask_if_poor),
+        _disparity_row(found, sequence.camera),
+        _rows_row(found),
+    ]
 
-    median_px = float(np.median(disparity_px))
-    depth_m = sequence.camera.fu_px * sequence.camera.baseline_m / max(median_px, 1e-9)
-    low_px, high_px = np.percentile(disparity_px, [10, 90])
-    row_low_px, row_median_px, row_high_px = np.percentile(
-        pixels[:, 3] - pixels[:, 1], [10, 50, 90]
-    )
-    num_per_frame = len(pixels) / (len(frames) - 1)
-    matches = (
-        f"{num_per_frame:.0f} tracks per frame in the first {len(frames)};"
+
+def _is_without_disparity(found: FirstMatches) -> bool:
+    import numpy as np
+
+    return bool(np.percentile(np.abs(found.disparity_px), 90) < MIN_DISPARITY_PX)
+
+
+def _tracks_row(found: FirstMatches, min_tracks: int, ask_if_few: str) -> Row:
+    text = (
+        f"{found.num_per_frame:.0f} tracks per frame in the first {found.num_frames};"
         " left and right are not swapped"
     )
-    is_few = has_images and num_per_frame < MIN_TRACKS
-    if is_few:
-        matches += f". These are few. {ask_if_poor}"
-    is_near_or_far = not USUAL_DEPTH_M[0] <= depth_m <= USUAL_DEPTH_M[1]
-    disparity = (
+    if found.num_per_frame < min_tracks:
+        return ("! matches", f"{text}. These are few. {ask_if_few}")
+    return ("matches", text)
+
+
+def _disparity_row(found: FirstMatches, camera: StereoCamera) -> Row:
+    """Say how far away the tracks are."""
+    import numpy as np
+
+    low_px, high_px = np.percentile(found.disparity_px, [10, 90])
+    median_px = float(np.median(found.disparity_px))
+    depth_m = camera.fu_px * camera.baseline_m / max(median_px, 1e-9)
+    text = (
         f"{low_px:.1f} to {high_px:.1f} px (10 to 90 %), median {median_px:.1f} px, which is"
         f" {depth_m:.1f} m away"
     )
-    if is_near_or_far:
-        disparity += ". Are the baseline in metres and the focal length in pixels of these images?"
-    rows = (
-        f"right minus left: median {row_median_px:+.2f} px,"
-        f" {row_low_px:+.2f} to {row_high_px:+.2f} px (10 to 90 %)"
+    if USUAL_DEPTH_M[0] <= depth_m <= USUAL_DEPTH_M[1]:
+        return ("disparity", text)
+    question = "Are the baseline in metres and the focal length in pixels of these images?"
+    return ("! disparity", f"{text}. {question}")
+
+
+def _rows_row(found: FirstMatches) -> Row:
+    """Say how far apart the rows of a feature are in the two images."""
+    import numpy as np
+
+    low_px, median_px, high_px = np.percentile(found.row_offset_px, [10, 50, 90])
+    text = (
+        f"right minus left: median {median_px:+.2f} px,"
+        f" {low_px:+.2f} to {high_px:+.2f} px (10 to 90 %)"
     )
-    is_level = max(abs(row_low_px), abs(row_high_px)) <= config.max_row_offset_px / 2
-    return [
-        ("! matches" if is_few else "matches", matches),
-        ("! disparity" if is_near_or_far else "disparity", disparity),
-        ("rows" if is_level else "! rows", rows),
-    ]
+    is_level = max(abs(low_px), abs(high_px)) <= RunConfig().tracking.max_row_offset_px / 2
+    return ("rows" if is_level else "! rows", text)

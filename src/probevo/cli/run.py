@@ -15,9 +15,11 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
+from probevo.output.run_files import MOTIONS, REPORT, TRAJECTORY_TUM, VIEWER_SUFFIX
 from probevo.run_config import CommonRunSettings, RunConfig, read_config
 
 if TYPE_CHECKING:
+    from probevo.evaluation.metrics import Metrics
     from probevo.runs.runner import Run
     from probevo.sequences import Sequence
 
@@ -92,7 +94,7 @@ def refuse_recording(out: Path) -> None:
     """
     from probevo.sequences.registry import sequence_formats
 
-    if not out.is_dir() or (out / "motions.npz").exists():
+    if not out.is_dir() or (out / MOTIONS).exists():
         return
     for known in sequence_formats().values():
         if known.folder_signs and known.recognises(out):
@@ -184,7 +186,7 @@ def extra_outputs(settings: RunConfig) -> list[tuple[str, Path]]:
     written = []
     if settings.write is not None:
         written.append(("odometry", settings.write))
-    if settings.viewer is not None and settings.viewer.suffix == ".rrd":
+    if settings.viewer is not None and settings.viewer.suffix == VIEWER_SUFFIX:
         written.append(("for the viewer", settings.viewer))
     return written
 
@@ -202,12 +204,10 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text
-    from probevo.output.headline import headline_drift
     from probevo.output.run_facts import delay_text, focal_text, jitter_text, unused_imu_text
     from probevo.output.table import readable
 
     result = run.result
-    metrics = run.metrics
     if len(result) < 2:
         lines = ["1 frame, and so no motion"]
     else:
@@ -218,16 +218,8 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         median_ms = readable(float(np.median(result.total_ms)))
         lines.append(f"{median_ms} ms per frame (median, without decoding)")
 
-    # What the truth says, if it is known.
-    drift = headline_drift(metrics) if metrics else None
-    if drift is not None:
-        translation = readable(drift.translation_percent)
-        rotation = readable(drift.rotation_deg_per_m)
-        lines.append(f"drift {translation} %, {rotation} °/m over segments of {drift.segments} m")
-    if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
-        error_m = readable(metrics.final_error_m)
-        lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
-
+    if run.metrics is not None:
+        lines += _error_lines(run.metrics)
     without_imu = unused_imu_text(result)
     if without_imu:
         lines.append(f"IMU: {without_imu}")
@@ -241,8 +233,25 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
     lines += [f"{what}: {path}" for what, path in written]
     if len(result) > 1:
-        lines.append(f"trajectory: {out / 'trajectory.tum'}; covariances: {out / 'motions.npz'}")
-        lines.append(f"report: {out / 'report.html'}")
+        lines.append(f"trajectory: {out / TRAJECTORY_TUM}; covariances: {out / MOTIONS}")
+        lines.append(f"report: {out / REPORT}")
     else:
         lines.append(f"results: {out}")
+    return lines
+
+
+def _error_lines(metrics: Metrics) -> list[str]:
+    """Return what the truth says of the path, as far as it is known."""
+    from probevo.output.headline import headline_drift
+    from probevo.output.table import readable
+
+    lines = []
+    drift = headline_drift(metrics)
+    if drift is not None:
+        translation = readable(drift.translation_percent)
+        rotation = readable(drift.rotation_deg_per_m)
+        lines.append(f"drift {translation} %, {rotation} °/m over segments of {drift.segments} m")
+    if metrics.final_error_m is not None and metrics.path_length_m is not None:
+        error_m = readable(metrics.final_error_m)
+        lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
     return lines

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -81,13 +82,20 @@ UNKNOWN_HEADING_RAD = 100.0
 """Standard deviation of an unknown heading: many turns."""
 
 
+class Innovation(NamedTuple):
+    """Of a measurement: how far it is from what was expected, and how much it counts."""
+
+    squared: float | None
+    """Squared Mahalanobis distance; None where it was not tested."""
+    weight: float
+    """Robust weight of the measurement; 0 if it is rejected."""
+
+
 class _Tested(NamedTuple):
-    """A filter after an update, with the innovation and the weight of each measurement."""
+    """A filter after an update, with the innovation of each measurement."""
 
     pose: PoseFilter
-    squared: tuple[float | None, ...]
-    """Squared Mahalanobis distance of each innovation; None where it was not tested."""
-    weights: tuple[float, ...]
+    innovations: tuple[Innovation, ...]
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,7 @@ class SensorMemory:
     """The tests of one sensor, over all frames so far."""
 
     name: str
-    without: PoseFilter
+    without_sensor: PoseFilter
     """Estimate from the motions and the measurements of the pose by all sensors that are not
     excluded, except this one."""
     with_offset: PoseFilter
@@ -108,6 +116,54 @@ class SensorMemory:
     """Steps in which it has measured something, since its start."""
     num_restarts: int = 0
     """How often it has started anew."""
+
+    def advanced(self, advance: Callable[[PoseFilter], PoseFilter]) -> SensorMemory:
+        """Return the memory after a motion, given how a filter advances by it."""
+        if self.excluded is not None:
+            return self
+        return replace(
+            self,
+            without_sensor=advance(self.without_sensor),
+            with_offset=advance(self.with_offset),
+        )
+
+    def updated(
+        self,
+        reading: Reading,
+        innovations: Sequence[Innovation],
+        others: Sequence[Measurement],
+        *,
+        pose: Variable,
+        north: NorthConfig,
+    ) -> SensorMemory:
+        """Return the memory after the measurements at a frame.
+
+        Args:
+            reading: of this sensor.
+            innovations: those of its measurements, first of the pose, then of the motion.
+            others: measurements of the pose by the other sensors.
+            pose: the pose of the frame.
+            north: prior of the attitude of the world against north.
+        """
+        if self.excluded is not None:
+            return self
+        of_pose = reading.of_pose(pose)
+        measurements = (*of_pose, *reading.of_motion(pose))
+        return replace(
+            self,
+            without_sensor=_tested(self.without_sensor, others, pose, north).pose,
+            with_offset=_tested_with_offset(
+                self.with_offset, of_pose, others, pose=pose, north=north
+            ),
+            sum_above=_sum_above(self.sum_above, measurements, innovations),
+            num_steps=self.num_steps + bool(innovations),
+        )
+
+    def afresh_from(self, odometry: PoseFilter) -> SensorMemory:
+        """Return the memory with tests that start afresh from the odometry."""
+        if self.excluded is not None:
+            return self
+        return replace(self, without_sensor=odometry, with_offset=odometry, sum_above=0.0)
 
     def may_restart(self, measurements: Sequence[Measurement], north: NorthConfig) -> bool:
         """Return whether a failed test may be the fault of the sensor's first measurements, which
@@ -141,16 +197,7 @@ class SensorFusion:
         return SensorFusion(
             pose=advance(self.pose),
             odometry=advance(self.odometry) if self.memories else self.odometry,
-            memories=tuple(
-                memory
-                if memory.excluded is not None
-                else replace(
-                    memory,
-                    without=advance(memory.without),
-                    with_offset=advance(memory.with_offset),
-                )
-                for memory in self.memories
-            ),
+            memories=tuple(memory.advanced(advance) for memory in self.memories),
         )
 
     def after(self, motion: MotionEstimate) -> SensorFusion:
@@ -167,7 +214,7 @@ class SensorFusion:
         pose: Variable,
         north: NorthConfig,
         *,
-        of_motion: Mapping[str, Sequence[MotionInnovation]],
+        of_motion: Mapping[str, Sequence[Innovation]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
         """Update the pose with the measurements at a frame, and test each sensor.
 
@@ -181,97 +228,81 @@ class SensorFusion:
         Returns:
             The state after the update, and the outcome of each sensor.
         """
-        # Measurements of the pose by each sensor; ``main.squared`` and ``main.weights`` list them
-        # in the same order, those of one sensor after those of another.
-        measured = [
-            () if memory.excluded is not None else reading.of_pose(pose)
+        # Whatever an excluded sensor may measure does not count.
+        readings = [
+            reading if memory.excluded is None else Reading(memory.name)
             for memory, reading in zip(self.memories, readings, strict=True)
         ]
-        # The pose from all sensors
-        main = _tested(self.pose, _joined(measured), pose, north)
-        # Then, for each sensor, the filters without it and with its offset
-        memories: list[SensorMemory] = []
-        outcomes: list[SensorOutcome] = []
-        suspects: list[_Suspect] = []
-        start = 0
-        for index, (memory, reading) in enumerate(zip(self.memories, readings, strict=True)):
-            own = slice(start, start + len(measured[index]))
-            start = own.stop
-            innovations = () if memory.excluded is not None else of_motion.get(memory.name, ())
-            squared = (*main.squared[own], *(one.squared for one in innovations))
-            weights = (*main.weights[own], *(one.weight for one in innovations))
-            outcomes.append(_outcome(memory, reading, squared, weights))
-            if memory.excluded is None and weights:
-                dims = [_dimension(one) for one in (*measured[index], *reading.of_motion(pose))]
-                others = _joined([*measured[:index], *measured[index + 1 :]])
-                memory = replace(
-                    memory,
-                    without=_tested(memory.without, others, pose, north).pose,
-                    with_offset=_tested_with_offset(
-                        memory.with_offset, measured[index], others, pose=pose, north=north
-                    ),
-                    sum_above=_sum_above(memory.sum_above, dims, squared),
-                    num_steps=memory.num_steps + 1,
-                )
-                suspects += _suspects(memory, index, measured[index])
-            elif memory.excluded is None:
-                # It has not measured anything; the other sensors still correct its filters.
-                others = _joined(measured)
-                memory = replace(
-                    memory,
-                    without=_tested(memory.without, others, pose, north).pose,
-                    with_offset=_tested(memory.with_offset, others, pose, north).pose,
-                )
-            memories.append(memory)
-        after = SensorFusion(main.pose, self.odometry, tuple(memories))
+        of_pose = [reading.of_pose(pose) for reading in readings]
+        # The pose from all sensors, which gives the innovation of each measurement of the pose.
+        fused = _tested(self.pose, _joined(of_pose), pose, north)
+        following = iter(fused.innovations)
+        innovations = [
+            (*islice(following, len(own)), *of_motion.get(reading.name, ()))
+            for own, reading in zip(of_pose, readings, strict=True)
+        ]
+        # Then each sensor by itself: its outcome, and its tests.
+        sensors = list(zip(self.memories, readings, innovations, strict=True))
+        outcomes = [_outcome(*sensor) for sensor in sensors]
+        memories = [
+            memory.updated(
+                reading,
+                own_innovations,
+                _joined([*of_pose[:index], *of_pose[index + 1 :]]),
+                pose=pose,
+                north=north,
+            )
+            for index, (memory, reading, own_innovations) in enumerate(sensors)
+        ]
+        after = SensorFusion(fused.pose, self.odometry, tuple(memories))
+        suspects = [
+            suspect
+            for index, memory in enumerate(memories)
+            for suspect in _suspects(memory, index, of_pose[index])
+        ]
         if not suspects:
             return after, tuple(outcomes)
         # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
         # look faulty, too. Their tests start afresh without it.
         worst = max(suspects, key=lambda suspect: suspect.ratio)
-        memory = after.memories[worst.sensor]
-        after = after.forgetting(worst.sensor)
-        if memory.may_restart(measured[worst.sensor], north):
-            outcomes[worst.sensor] = SensorOutcome(
-                memory.name, "gated", f"it starts anew, since it has shown {worst.shows}"
-            )
-            return after, tuple(outcomes)
-        outcomes[worst.sensor] = SensorOutcome(memory.name, "excluded", worst.shows)
-        return after.excluding(worst.sensor, worst.shows), tuple(outcomes)
+        after, outcomes[worst.sensor] = after._excluding(worst, of_pose[worst.sensor], north)
+        return after, tuple(outcomes)
+
+    def _excluding(
+        self, suspect: _Suspect, measurements: Sequence[Measurement], north: NorthConfig
+    ) -> tuple[SensorFusion, SensorOutcome]:
+        """Return the state without a sensor that has failed a test, and the outcome of the sensor.
+
+        If the fault may be that of its first measurements, it starts anew and is not excluded.
+
+        Args:
+            suspect: the sensor.
+            measurements: its measurements of the pose at this frame.
+            north: prior of the attitude of the world against north.
+        """
+        memory = self.memories[suspect.sensor]
+        forgotten = self.forgetting(suspect.sensor)
+        if memory.may_restart(measurements, north):
+            reason = f"it starts anew, since it has shown {suspect.shows}"
+            return forgotten, SensorOutcome(memory.name, "gated", reason)
+        memories = list(forgotten.memories)
+        memories[suspect.sensor] = replace(memories[suspect.sensor], excluded=suspect.shows)
+        outcome = SensorOutcome(memory.name, "excluded", suspect.shows)
+        return replace(forgotten, memories=tuple(memories)), outcome
 
     def forgetting(self, index: int) -> SensorFusion:
         """Return the state as if a sensor had not measured the pose so far.
 
         The tests of all sensors start afresh.
         """
-        memories = [
-            memory
-            if memory.excluded is not None
-            else replace(memory, without=self.odometry, with_offset=self.odometry, sum_above=0.0)
-            for memory in self.memories
-        ]
+        memories = [memory.afresh_from(self.odometry) for memory in self.memories]
         own = memories[index]
         memories[index] = replace(own, num_steps=0, num_restarts=own.num_restarts + 1)
         return SensorFusion(
-            pose=self.memories[index].without,
+            pose=self.memories[index].without_sensor,
             odometry=self.odometry,
             memories=tuple(memories),
         )
-
-    def excluding(self, index: int, reason: str) -> SensorFusion:
-        """Return the state in which a sensor is not used any more."""
-        memories = list(self.memories)
-        memories[index] = replace(memories[index], excluded=reason)
-        return replace(self, memories=tuple(memories))
-
-
-class MotionInnovation(NamedTuple):
-    """Of a measurement of the motion."""
-
-    squared: float | None
-    """Squared Mahalanobis distance; None where it was not tested."""
-    weight: float
-    """Robust weight of the measurement in the solve."""
 
 
 class _Suspect(NamedTuple):
@@ -286,31 +317,24 @@ class _Suspect(NamedTuple):
 
 
 def _outcome(
-    memory: SensorMemory,
-    reading: Reading,
-    squared: Sequence[float | None],
-    weights: Sequence[float],
+    memory: SensorMemory, reading: Reading, innovations: Sequence[Innovation]
 ) -> SensorOutcome:
     """Return the outcome of a sensor in this step, before exclusions of this step."""
     if memory.excluded is not None:
         return SensorOutcome(memory.name, "excluded", memory.excluded)
-    if not weights:
+    if not innovations:
         return SensorOutcome(memory.name, "silent", reading.reason)
+    weights = [one.weight for one in innovations]
     return SensorOutcome(
         name=memory.name,
         state="used" if max(weights) > 0.0 else "gated",
-        squared=max((one for one in squared if one is not None), default=None),
+        squared=max((one.squared for one in innovations if one.squared is not None), default=None),
         weight=min(weights),
     )
 
 
 def _joined(measured: Sequence[Sequence[Measurement]]) -> list[Measurement]:
     return [one for measurements in measured for one in measurements]
-
-
-def _dimension(measurement: Measurement) -> int:
-    """Return d of a measurement with a single residual; 0 of any other."""
-    return len(measurement.covariance) if isinstance(measurement, VectorMeasurement) else 0
 
 
 def _tested(
@@ -325,11 +349,10 @@ def _tested(
     drifts. A measurement with its own robust loss is used as it is.
     """
     if not measurements:
-        return _Tested(pose_filter, (), ())
+        return _Tested(pose_filter, ())
     pose_filter = _with_world_states(pose_filter, measurements, pose, north)
     kept: list[Measurement] = []
-    squares: list[float | None] = []
-    weights: list[float] = []
+    innovations: list[Innovation] = []
     for measurement in measurements:
         # All innovations are against the pose before any of these measurements. What fails the gate
         # is left out; a weight below one enlarges the covariance.
@@ -344,9 +367,8 @@ def _tested(
                 measurement = measurement.scaled(1.0 / weight)
         if weight > 0.0:
             kept.append(measurement)
-        squares.append(squared)
-        weights.append(weight)
-    return _Tested(pose_filter.updated(kept, pose), tuple(squares), tuple(weights))
+        innovations.append(Innovation(squared, weight))
+    return _Tested(pose_filter.updated(kept, pose), tuple(innovations))
 
 
 def _with_world_states(
@@ -477,7 +499,9 @@ class WithOffset(VectorMeasurement):
 def _suspects(
     memory: SensorMemory, sensor: int, measurements: Sequence[Measurement]
 ) -> list[_Suspect]:
-    """Return the tests that a sensor fails with these measurements."""
+    """Return the tests that a sensor fails with these measurements of the pose."""
+    if memory.excluded is not None:
+        return []
     found = []
     values = {state.variable: state.value for state in memory.with_offset.further}
     for variable, measurement in _with_offsets(measurements):
@@ -500,15 +524,18 @@ def _suspects(
     return found
 
 
-def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | None]) -> float:
+def _sum_above(
+    before: float, measurements: Sequence[Measurement], innovations: Sequence[Innovation]
+) -> float:
     """Update the cumulative sum of squared innovations above the allowance (CUSUM)."""
     # Innovations of any dimension are compared by their tail probability, on the scale of χ²(2).
     total = before
-    for dim, squared in zip(dims, squares, strict=True):
-        if squared is None:
+    for measurement, innovation in zip(measurements, innovations, strict=True):
+        if innovation.squared is None or not isinstance(measurement, VectorMeasurement):
             continue
         # −2 ln p of a uniformly distributed p is χ²(2) distributed.
-        rarity = max(float(chdtrc(dim, squared)), 1e-300)
+        dim = len(measurement.covariance)
+        rarity = max(float(chdtrc(dim, innovation.squared)), 1e-300)
         total = max(0.0, total + min(-2.0 * math.log(rarity), CUSUM_LARGEST_TERM) - CUSUM_ALLOWANCE)
     return total
 
@@ -519,7 +546,7 @@ def solve_innovations(
     solution: ReprojectionSolution | None,
     common_mode: FloatArray,
     reckoned: MotionEstimate | None = None,
-) -> dict[str, list[MotionInnovation]]:
+) -> dict[str, list[Innovation]]:
     """Return, by sensor, the innovations of its measurements of the motion.
 
     A correction replaces the motion of the solve, so it cannot be tested against it.
@@ -532,10 +559,10 @@ def solve_innovations(
         reckoned: the dead-reckoned motion that they are tested against without a solve; None if
             there is none either, and nothing is tested.
     """
-    found: dict[str, list[MotionInnovation]] = {}
+    found: dict[str, list[Innovation]] = {}
     for reading in readings:
         of_motion = reading.of_motion(curr)
-        found[reading.name] = [MotionInnovation(None, 1.0)] * len(of_motion)
+        found[reading.name] = [Innovation(None, 1.0)] * len(of_motion)
         if reading.corrects:
             continue
         if solution is not None:
@@ -549,15 +576,15 @@ def solve_innovations(
 
 def _reckoned_innovation(
     measurement: Measurement, curr: Variable, reckoned: MotionEstimate
-) -> MotionInnovation:
+) -> Innovation:
     """Return the innovation of a measurement of the motion against a dead-reckoned one."""
     if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
-        return MotionInnovation(None, 1.0)
+        return Innovation(None, 1.0)
     values = {variable: np.eye(4) for variable in measurement.variables}
     values[curr] = reckoned.T_curr_prev
     squared = measurement.innovation_squared(values, reckoned.cov, of=curr)
     threshold = large_residual_threshold(len(measurement.covariance))
-    return MotionInnovation(squared, bounded_weight(squared, threshold))
+    return Innovation(squared, bounded_weight(squared, threshold))
 
 
 def motion_innovations(
@@ -567,7 +594,7 @@ def motion_innovations(
     *,
     cov: FloatArray,
     common_mode: FloatArray,
-) -> list[MotionInnovation]:
+) -> list[Innovation]:
     """Return the innovations of a solve's own measurements of the motion.
 
     The residuals after a solve that used a measurement are too small for a test. The innovation is
@@ -588,10 +615,10 @@ def motion_innovations(
     values = {variable: np.eye(4) for one in measurements for variable in one.variables}
     values[curr] = T_curr_prev
     information = np.linalg.inv(cov)
-    found: list[MotionInnovation] = []
+    found: list[Innovation] = []
     for measurement in measurements:
         weight = float(measurement.outcome(values).weight.min())
-        found.append(MotionInnovation(None, weight))
+        found.append(Innovation(None, weight))
         if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
             continue
         # r = R_w (R_w + J P Jᵀ)⁻¹ ν for the innovation ν, with R_w the covariance over the weight.
@@ -607,5 +634,5 @@ def motion_innovations(
         of_rig = jacobian @ common_mode
         innovation_cov = R + spread + of_rig @ of_rig.T
         squared = float(innovation @ np.linalg.solve(innovation_cov, innovation))
-        found[-1] = MotionInnovation(squared, weight)
+        found[-1] = Innovation(squared, weight)
     return found

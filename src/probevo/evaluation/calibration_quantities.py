@@ -20,6 +20,8 @@ from probevo.geometry import se3
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import GRAVITY_M_S2, ImuCalibration
 
+FALSE_ALARMS = 0.01
+"""Share of flawless recordings of which any quantity is marked."""
 GRAVITY_SIGMA_M_S2 = 0.02
 """Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
 NUM_PARTS = 5
@@ -60,6 +62,16 @@ class Quantity:
         """Return name, value, σ, unit and z, as text."""
         name = f"! {self.name}" if is_marked else f"  {self.name}"
         return (name, f"{self.value:+.3g}", f"{self.sigma:.2g}", self.unit, f"{self.z:+.1f}")
+
+
+def is_marked(quantity: Quantity, count: int) -> bool:
+    """Return whether a quantity, one of ``count``, is significantly different from zero."""
+    return quantity.p_value < FALSE_ALARMS / count
+
+
+def largest_z(count: int) -> float:
+    """Return how far from zero, in σ, chance may take any of ``count`` quantities."""
+    return float(-ndtri(0.5 * FALSE_ALARMS / count))
 
 
 def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quantity]:

@@ -15,12 +15,15 @@ BLOCK = 10
 
 
 class Claimed(NamedTuple):
-    """Errors on one recording, and the covariances that were claimed for them."""
+    """Errors on one recording of N inputs, and what was claimed for them."""
 
     errors: FloatArray
     """[N, d]"""
     covariances: FloatArray
     """[N, d, d]"""
+    widening: FloatArray
+    """Factor by which each covariance was widened because the input is unlike the training data,
+    [N]."""
 
 
 class Calibration(NamedTuple):
@@ -57,14 +60,13 @@ def calibration(left_out: Sequence[Claimed]) -> Calibration:
     and each measurement enters with a covariance of its own, so that the sum of ten errors has to
     fit the sum of their covariances, too. The larger of the two factors counts.
     """
-    # No block reaches from one recording into the next.
-    blocks = [blocks_of(each) for each in left_out]
     all_errors = np.concatenate([each.errors for each in left_out])
     all_covariances = np.concatenate([each.covariances for each in left_out])
     single = covariance_scale(all_errors, all_covariances)
+    # No block reaches from one recording into the next.
     in_blocks = covariance_scale(
-        np.concatenate([block.errors for block in blocks]),
-        np.concatenate([block.covariances for block in blocks]),
+        np.concatenate([block_sums(each.errors) for each in left_out]),
+        np.concatenate([block_sums(each.covariances) for each in left_out]),
     )
     # In both, s = 1/(N d) Σ φᵀ Σ⁻¹ φ.
     scale = max(single, in_blocks)
@@ -79,12 +81,8 @@ def calibration(left_out: Sequence[Claimed]) -> Calibration:
     )
 
 
-def blocks_of(claimed: Claimed) -> Claimed:
-    """Return the sums of ten successive errors, and of their covariances."""
-    dim = claimed.errors.shape[1]
-    blocks = len(claimed.errors) // BLOCK
-    used = slice(0, blocks * BLOCK)
-    return Claimed(
-        claimed.errors[used].reshape(blocks, BLOCK, dim).sum(axis=1),
-        claimed.covariances[used].reshape(blocks, BLOCK, dim, dim).sum(axis=1),
-    )
+def block_sums(values: FloatArray) -> FloatArray:
+    """Return the sums of each ten successive values, [N, …], in [N // 10, …]."""
+    num_blocks = len(values) // BLOCK
+    in_blocks = values[: num_blocks * BLOCK].reshape(num_blocks, BLOCK, *values.shape[1:])
+    return np.asarray(in_blocks.sum(axis=1))

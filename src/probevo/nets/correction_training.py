@@ -14,7 +14,7 @@ from probevo.arrays import FloatArray, concatenated
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.nets.calibration import BLOCK, Claimed, blocks_of, calibration
+from probevo.nets.calibration import BLOCK, Claimed, block_sums, calibration
 from probevo.nets.correction_network import (
     KIND,
     NUM_REGRESSORS,
@@ -206,9 +206,10 @@ def _built(
 
 
 def errors_of(network: CorrectionNetwork, steps: EstimatedSteps) -> Claimed:
-    """Return g = Log(T_corr T*⁻¹) along the corrected axes, [N, d], and the claimed covariances."""
+    """Return g = Log(T_corr T*⁻¹) along the corrected axes, [N, d], and what was claimed."""
     found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
-    return Claimed(_remaining(found.xi, steps.corrections)[:, network.space.axes], found.covariance)
+    errors = _remaining(found.xi, steps.corrections)[:, network.space.axes]
+    return Claimed(errors, found.covariance, found.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -221,10 +222,8 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     network = CorrectionNetwork.load(path)
     config = OdometryConfig.model_validate(network.facts["odometry"])
     steps = read_steps(sequence, len(sequence), config=config)
-    inputs = inputs_of(steps.fields, steps.motions, steps.covariances)
     return sensor_errors(
         errors_of(network, steps),
-        network.estimate(inputs).widening,
         network.facts,
         path=sequence.path,
         num_lengths=0 if network.space.axes == ROTATION_AXES else 3,
@@ -251,9 +250,8 @@ def calibrated(
     own = 0.0
     for steps in left_out:
         found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
-        claimed = Claimed(found.xi[:, axes], found.covariance)
-        estimated = blocks_of(claimed).errors
-        true = blocks_of(Claimed(steps.corrections[:, axes], found.covariance)).errors
+        estimated = block_sums(found.xi[:, axes])
+        true = block_sums(steps.corrections[:, axes])
         both += float(np.einsum("ni,ij,nj->", estimated, information, true))
         own += float(np.einsum("ni,ij,nj->", estimated, information, estimated))
     gain = float(np.clip(both / own, 0.0, 1.0)) if own > 0.0 else 0.0
@@ -280,10 +278,7 @@ def _with_axes(estimated: FloatArray, axes: tuple[int, ...]) -> FloatArray:
 def _rms(xi: FloatArray, xi_true: FloatArray, lengths: list[int]) -> tuple[float, float]:
     """Return the RMS of what remains of ten successive steps added up, m and rad."""
     remaining = _remaining(xi, xi_true)
-    sums = []
     # Each recording by itself: no block reaches from one into the next.
-    for part in np.split(remaining, np.cumsum(lengths)[:-1]):
-        blocks = len(part) // BLOCK
-        sums.append(part[: blocks * BLOCK].reshape(blocks, BLOCK, 6).sum(axis=1))
+    sums = [block_sums(part) for part in np.split(remaining, np.cumsum(lengths)[:-1])]
     squares = np.mean(np.concatenate(sums) ** 2, axis=0)
     return float(np.sqrt(squares[:3].sum())), float(np.sqrt(squares[3:].sum()))

@@ -126,11 +126,11 @@ def linear_errors(fit: FieldFit, pairs: ImagePairs) -> FloatArray:
 
 
 def errors_of(network: RotationNetwork, pairs: ImagePairs) -> Claimed:
-    """Return φ = Log(C_estimated C_trueᵀ), [N, 3], rad, and the claimed covariances, [N, 3, 3]."""
+    """Return φ = Log(C_estimated C_trueᵀ), [N, 3], rad, and what was claimed."""
     found = network.estimate(pairs.fields)
     q_true = jnp.asarray(_quaternions(pairs.rotations))
     errors = SPACE.difference(jnp.asarray(found.q_curr_prev), q_true)
-    return Claimed(np.asarray(errors, np.float64), found.covariance)
+    return Claimed(np.asarray(errors, np.float64), found.covariance, found.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -144,7 +144,6 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     pairs = read_pairs(sequence, len(sequence))
     return sensor_errors(
         errors_of(network, pairs),
-        network.estimate(pairs.fields).widening,
         network.facts,
         path=sequence.path,
         saliency=saliency(network, SPACE, pairs.fields, _quaternions(pairs.rotations)),

@@ -139,7 +139,7 @@ def errors_of(network: SunNetwork, views: SunViews) -> Claimed:
     """Return the errors along azimuth and zenith angle, [N, 2], rad, and what was claimed."""
     found = network.estimate(views.fields)
     errors = SPACE.difference(jnp.asarray(found.directions), jnp.asarray(views.directions))
-    return Claimed(np.asarray(errors, np.float64), found.covariance)
+    return Claimed(np.asarray(errors, np.float64), found.covariance, found.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -153,7 +153,6 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     views = read_views(sequence, len(sequence))
     return sensor_errors(
         errors_of(network, views),
-        network.estimate(views.fields).widening,
         network.facts,
         path=sequence.path,
         saliency=saliency(network, SPACE, views.fields, views.directions),

@@ -246,7 +246,6 @@ def saliency(
 
 def sensor_errors(
     claimed: Claimed,
-    widening: FloatArray,
     facts: Mapping[str, Any],
     *,
     path: Path,
@@ -256,8 +255,7 @@ def sensor_errors(
     """Return the errors of the measurements that a run would use.
 
     Args:
-        claimed: errors and covariances of all N inputs.
-        widening: of each input, as ``evaluate`` gives it, [N].
+        claimed: errors and covariances of all inputs.
         facts: what the file of the network says of it.
         path: the recording.
         num_lengths: leading components of an error that are lengths.
@@ -266,14 +264,14 @@ def sensor_errors(
     Raises:
         InputError: no input is within the domain: there are no errors to be shown.
     """
-    is_used = widening <= FARTHEST
+    is_used = claimed.widening <= FARTHEST
     if not is_used.any():
         what = "all of it is so unlike what the network has learned that it measures nothing."
         raise InputError(path, what, "Take another recording, or learn from ones like this.")
     return SensorErrors(
         claimed.errors[is_used],
         claimed.covariances[is_used],
-        num_out_of_domain=int(np.sum(widening[is_used] > 1.0)),
+        num_out_of_domain=int(np.sum(claimed.widening[is_used] > 1.0)),
         num_silent=int(np.sum(~is_used)),
         num_lengths=num_lengths,
         saliency=saliency,

@@ -10,10 +10,6 @@ from probevo.sequences.pose_files import write_kitti_poses as write_kitti_poses
 from probevo.sequences.pose_files import write_tum as write_tum
 from probevo.storage.files import write_atomically
 
-SMOOTHED_TUM = "trajectory.smoothed.tum"
-SMOOTHED_KITTI = "trajectory.smoothed.kitti.txt"
-"""Poses of a run as they left the window, if there is one."""
-
 
 def write_json(path: Path, values: Mapping[str, object]) -> None:
     """Write a JSON file such as ``metrics.json``.

@@ -24,6 +24,7 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
+from probevo.output.run_files import MOTIONS
 from probevo.output.run_result import RunResult, SensorUse
 from probevo.storage.npz import NO_NPZ, read_npz, write_npz
 from probevo.tracking.fixed_features import FixedFeatures, StepsAtRest
@@ -182,7 +183,7 @@ def read_motions(path: Path | str) -> RunResult:
     """
     if not isinstance(path, str | Path):
         raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
-    path = Path(path) / "motions.npz" if Path(path).is_dir() else Path(path)
+    path = Path(path) / MOTIONS if Path(path).is_dir() else Path(path)
     try:
         arrays = read_npz(path)
     except NO_NPZ as error:

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from probevo.errors import InputError
-from probevo.output.files import SMOOTHED_KITTI
 from probevo.output.motions_file import read_motions
+from probevo.output.run_files import MOTIONS, SMOOTHED_KITTI
 from probevo.output.run_result import RunResult
 from probevo.sequences.pose_files import read_kitti_poses
-
-MOTIONS = "motions.npz"
 
 
 def read_run(folder: Path) -> RunResult:

@@ -42,7 +42,7 @@ crossing traffic moves most of the time."""
 MIN_FOR_SCALE = 5
 """Minimum number of steps for the scale."""
 SCALE_SIGMAS = 3.0
-"""Standard errors of the scale beyond which it is not the noise of the steps or of the truth."""
+"""Standard errors of the scale beyond which it is wrong by more than noise explains."""
 ROW_SIGMAS = 3.0
 """Errors of the rows, in standard deviations of their prior, that no rectification leaves. Those of
 KITTI, the largest of the recordings here, are 2.0 to 2.3."""
@@ -269,7 +269,7 @@ def accelerometer_warning(scale: AccelerometerScale | None) -> str | None:
     if scale is None:
         return None
     off = abs(scale.ratio - 1.0)
-    if off < MAX_ACCELEROMETER_ERROR or off <= 3.0 * scale.sigma:
+    if off < MAX_ACCELEROMETER_ERROR or off <= SCALE_SIGMAS * scale.sigma:
         return None
     return (
         f"The path is {scale.ratio:.3f} ± {scale.sigma:.3f} times as long as the accelerometer"
@@ -283,7 +283,7 @@ def height_warning(height: GroundHeight | None) -> str | None:
     if height is None or height.known_m is None or height.ratio is None:
         return None
     off = abs(height.ratio - 1.0)
-    if off < MAX_HEIGHT_ERROR or off * height.known_m <= 3.0 * height.sigma_m:
+    if off < MAX_HEIGHT_ERROR or off * height.known_m <= SCALE_SIGMAS * height.sigma_m:
         return None
     return (
         f"The camera is {height.height_m:.3f} ± {height.sigma_m:.3f} m above the ground by the"

@@ -22,11 +22,11 @@ from probevo.estimation.motion_estimate import Status
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import TRUST_COLORS_BGR
 from probevo.output.report.report_data import Drift, drift_of
+from probevo.output.run_files import VIEWER_SUFFIX
 from probevo.output.run_result import RunResult
 from probevo.sequences.frame import Frame
 from probevo.storage.files import check_folder, written_together
 
-SUFFIX = ".rrd"
 WINDOW = Path("window")
 """In place of a file: a window of the viewer, on this machine's display."""
 BLUE_RGB = (23, 105, 170)
@@ -50,9 +50,12 @@ def check_viewer_path(path: Path, option: str) -> None:
     """
     if path == WINDOW:
         _check_display(option)
-    elif path.suffix != SUFFIX:
-        cure = f"Name a file {SUFFIX}, which Rerun opens, or none, behind SEQUENCE, for a window."
-        raise InputError(option, f"{path} does not end in {SUFFIX}.", cure)
+    elif path.suffix != VIEWER_SUFFIX:
+        cure = (
+            f"Name a file {VIEWER_SUFFIX}, which Rerun opens, or none, behind SEQUENCE, for a"
+            " window."
+        )
+        raise InputError(option, f"{path} does not end in {VIEWER_SUFFIX}.", cure)
     else:
         check_folder(path.parent, option)
     try:
@@ -70,7 +73,7 @@ def _check_display(option: str) -> None:
     """
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform == "linux" and not has_display:
-        cure = f"Name a file, {option} drive{SUFFIX}, and open it with `rerun` elsewhere."
+        cure = f"Name a file, {option} drive{VIEWER_SUFFIX}, and open it with `rerun` elsewhere."
         raise InputError(option, "there is no display for a window of the viewer.", cure)
 
 
@@ -236,7 +239,7 @@ def _open_window(recording: Any) -> None:
     try:
         recording.spawn()
     except (OSError, RuntimeError) as error:
-        cure = f"Name a file, --viewer drive{SUFFIX}, and open it with `rerun`."
+        cure = f"Name a file, --viewer drive{VIEWER_SUFFIX}, and open it with `rerun`."
         raise InputError("--viewer", f"the viewer does not start: {error}.", cure) from error
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.inertial import Inertial
-from probevo.estimation.window.window import Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
 from probevo.evaluation.metrics import Metrics
@@ -29,23 +28,28 @@ from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import (
-    SMOOTHED_KITTI,
-    SMOOTHED_TUM,
-    write_json,
-    write_kitti_poses,
-    write_tum,
-)
+from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
 from probevo.output.ros.bag_writer import check_bag_path
 from probevo.output.rows import Rows
 from probevo.output.run_facts import run_facts
+from probevo.output.run_files import (
+    METRICS,
+    MOTIONS,
+    REPORT,
+    SETTINGS,
+    SMOOTHED_KITTI,
+    SMOOTHED_TUM,
+    TRAJECTORY_KITTI,
+    TRAJECTORY_TUM,
+)
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
 from probevo.output.viewer_file import WINDOW, ViewerFile, check_viewer_path, opened_viewer
 from probevo.python_arguments import as_path, as_sensors, as_sequence
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
+from probevo.runs.smoothed_path import SmoothedPath
 from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.base import first_frames
@@ -217,8 +221,8 @@ class _Records:
     smoothed: SmoothedPath
     timing: PairTiming
     """Whether left and right images belong to the same frames."""
-    of_images: Rows
-    """Motions of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
+    motions_of_images: Rows
+    """Those of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
     fixed: FixedFeatureCount
     """Features that do not move with the scene."""
     heights: GroundHeights
@@ -232,7 +236,7 @@ class _Records:
             pictures=_Pictures.spread_over(num_frames),
             smoothed=SmoothedPath(),
             timing=PairTiming(config.tracking),
-            of_images=Rows(np.float64, (4, 4)),
+            motions_of_images=Rows(np.float64, (4, 4)),
             fixed=FixedFeatureCount(sequence.camera),
             heights=GroundHeights(sequence.camera, config.camera_height_m),
         )
@@ -244,7 +248,7 @@ class _Records:
         self.pictures.add(frame, odometry)
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
-        self.of_images.add(odometry.T_of_images)
+        self.motions_of_images.add(odometry.T_of_images)
         if motion.status is Status.OK:
             self.fixed.add(
                 odometry.tracks, motion.T_curr_prev, of_vehicle=odometry.tracks_of_vehicle
@@ -277,7 +281,7 @@ class _Records:
         smoothed = self.smoothed.poses(odometry.window, num_frames=len(result))
         return replace(
             result,
-            accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
+            accelerometer_scale=_accelerometer_scale(sequence, result, self.motions_of_images),
             ground_height=self.heights.height(),
             jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
             row_errors=None if rig is None else rig.row_errors(sequence.camera),
@@ -294,7 +298,7 @@ class _Records:
 
 
 def _accelerometer_scale(
-    sequence: Sequence, result: RunResult, of_images: Rows
+    sequence: Sequence, result: RunResult, motions_of_images: Rows
 ) -> AccelerometerScale | None:
     """Compare the path by the images alone with the samples of the recording, if it has them at
     their own rate.
@@ -302,14 +306,14 @@ def _accelerometer_scale(
     Args:
         sequence: the recording.
         result: the run.
-        of_images: a motion for each frame, [N, 4, 4]; that of the first one is the identity.
+        motions_of_images: one for each frame, [N, 4, 4]; that of the first one is the identity.
     """
     stream = getattr(sequence, "imu_stream", None)
     if stream is None or sequence.imu is None or len(result) < 2:
         return None
     return accelerometer_scale(
         result.stamps_ns,
-        se3.chain_motions(of_images.table()[1 : len(result)]),
+        se3.chain_motions(motions_of_images.table()[1 : len(result)]),
         result.status == Status.OK,
         stream=stream,
         calibration=sequence.imu,
@@ -339,20 +343,7 @@ def _write_results(
     from probevo.output.report.report import RunDescription, write_report
     from probevo.output.ros.odometry_bag import write_odometry_bag
 
-    # Absolute paths, so that --config finds the recording and the noise model from any directory.
-    absolute = {
-        "sequence": (config.sequence or sequence.path).resolve(),
-        "noise": portable(config.noise),
-        "sensor": tuple(path.resolve() for path in config.sensor),
-        "calibration": config.calibration and config.calibration.resolve(),
-        "imu_noise": config.imu_noise and config.imu_noise.resolve(),
-        "truth": config.truth and config.truth.resolve(),
-        "mask_left": config.mask_left and config.mask_left.resolve(),
-        "mask_right": config.mask_right and config.mask_right.resolve(),
-        "write": config.write and config.write.resolve(),
-        "viewer": config.viewer and _absolute_viewer(config.viewer),
-    }
-    settings = config_text(config.model_copy(update=absolute))
+    settings = _portable_settings(sequence, config)
     truth = None
     metrics = None
     if sequence.truth is not None:
@@ -361,18 +352,18 @@ def _write_results(
 
     # All files or none: part of them beside those of an earlier run would pass for one run.
     with written_together(out) as folder:
-        write_atomically(folder / "config.yaml", f"# by probevo {__version__}\n{settings}")
-        write_tum(folder / "trajectory.tum", result.stamps_ns, result.T_world_cam)
-        write_kitti_poses(folder / "trajectory.kitti.txt", result.T_world_cam)
+        write_atomically(folder / SETTINGS, f"# by probevo {__version__}\n{settings}")
+        write_tum(folder / TRAJECTORY_TUM, result.stamps_ns, result.T_world_cam)
+        write_kitti_poses(folder / TRAJECTORY_KITTI, result.T_world_cam)
         if result.smoothed is not None:
             write_tum(folder / SMOOTHED_TUM, result.stamps_ns, result.smoothed)
             write_kitti_poses(folder / SMOOTHED_KITTI, result.smoothed)
-        write_motions(folder / "motions.npz", result)
+        write_motions(folder / MOTIONS, result)
         if metrics is not None:
-            write_json(folder / "metrics.json", metrics.as_dict())
+            write_json(folder / METRICS, metrics.as_dict())
         if len(result) >= 2:
             write_report(
-                folder / "report.html",
+                folder / REPORT,
                 result,
                 RunDescription(
                     title=sequence.path.resolve().name,
@@ -388,9 +379,9 @@ def _write_results(
         remove_stale(out / SMOOTHED_TUM)
         remove_stale(out / SMOOTHED_KITTI)
     if metrics is None:
-        remove_stale(out / "metrics.json")
+        remove_stale(out / METRICS)
     if len(result) < 2:
-        remove_stale(out / "report.html")
+        remove_stale(out / REPORT)
     if config.write is not None:
         write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
     if viewer is not None:
@@ -398,60 +389,18 @@ def _write_results(
     return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
 
 
-def _absolute_viewer(path: Path) -> Path:
-    """Return an absolute path, unless it means a window."""
-    return path if path == WINDOW else path.resolve()
-
-
-class SmoothedPoses(NamedTuple):
-    """The poses of N frames, with all that later frames of the window say of them."""
-
-    T_world_cam: FloatArray
-    """[N, 4, 4], m."""
-    cov: FloatArray
-    """Covariance of the left perturbation of T_cam_world, [N, 6, 6], m and rad."""
-
-
-_SMOOTHED = np.dtype(
-    [("frame", np.int64), ("T_world_cam", np.float64, (4, 4)), ("cov", np.float64, (6, 6))]
-)
-"""A ``SmoothedPose``, 424 bytes."""
-
-
-class SmoothedPath:
-    """Collects the poses that leave the window."""
-
-    def __init__(self) -> None:
-        self._left = Rows(_SMOOTHED)
-
-    def add(self, window: Window | None) -> None:
-        """Take the poses that left the window in the last step; those taken before may be among
-        them."""
-        if window is not None:
-            for pose in window.marginalized:
-                self._left.add(np.array((pose.frame, pose.T_world_cam, pose.cov), _SMOOTHED))
-
-    def poses(
-        self, window: Window | None, *, num_frames: int | None = None
-    ) -> SmoothedPoses | None:
-        """Return the poses of all frames, whether they have left the window or are still in it.
-
-        Args:
-            window: as it is now; None if there is none, and no poses either.
-            num_frames: leave out the frames from this number on; None for all.
-        """
-        if window is None:
-            return None
-        poses = [window.pose(slot) for slot in range(len(window))]
-        in_window = [(pose.frame, pose.T_world_cam, pose.cov) for pose in poses]
-        rows = np.concatenate([self._left.table(), np.array(in_window, _SMOOTHED)])
-        # One row a frame, in their order: a blind frame leaves before those that features connect,
-        # and a pose may have been added again.
-        frames, of_frame = np.unique(rows["frame"], return_index=True)
-        if num_frames is not None:
-            of_frame = of_frame[frames < num_frames]
-        chosen = rows[of_frame]
-        return SmoothedPoses(T_world_cam=chosen["T_world_cam"], cov=chosen["cov"])
+def _portable_settings(sequence: Sequence, config: RunConfig) -> str:
+    """Return all settings as YAML, with absolute paths: ``--config`` finds the recording and the
+    noise model from any directory."""
+    names = ("calibration", "imu_noise", "truth", "mask_left", "mask_right", "write", "viewer")
+    paths = {name: getattr(config, name) for name in names}
+    absolute = {
+        name: path if path in (None, WINDOW) else path.resolve() for name, path in paths.items()
+    }
+    absolute["sequence"] = (config.sequence or sequence.path).resolve()
+    absolute["noise"] = portable(config.noise)
+    absolute["sensor"] = tuple(path.resolve() for path in config.sensor)
+    return config_text(config.model_copy(update=absolute))
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,8 @@ class EurocOptions(Settings):
     )
 
 
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+"""Of ROS 1, and of the two storages of ROS 2."""
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 
 

@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from probevo.entry_points import entry_points, entry_text, load_entry
 from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
+    BAG_SUFFIXES,
     VIDEO_SUFFIXES,
     EurocOptions,
     FolderOptions,
@@ -285,7 +286,7 @@ _BUILT_IN = (
         name="rosbag",
         summary="a bag of ROS 1 or ROS 2 with stereo images, read without ROS",
         folder_signs=("metadata.yaml",),
-        file_suffixes=(".bag", ".mcap", ".db3"),
+        file_suffixes=BAG_SUFFIXES,
         open=_open_rosbag,
         options=RosbagOptions,
     ),

@@ -13,7 +13,7 @@ from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.inspection.feature_pictures import _MARK, draw_features, value_shades
-from probevo.output.inspection.gk import column_table, sections, summary
+from probevo.output.inspection.gk import sections, summary, weighted_table
 from probevo.output.inspection.gk_data import (
     CentersView,
     course_along,
@@ -191,12 +191,12 @@ def test_a_scale_matrix_is_shown_as_sigma_and_correlations() -> None:
 
 def test_rows_of_columns(view: CentersView) -> None:
     frame = frame_of(view, [[0.0, 1.0, 2.0], [1.0, 3.0, np.nan]])
-    holey, x, idle = column_table(view, frame).text_rows()[1:]
+    holey, x, idle = weighted_table(view, frame).text_rows()[1:]
     assert holey[:4] == ("holey", "px", "2", "+0.300")
     assert holey[-2:] == ("2.00", "50.0 %")
     assert x[-2:] == ("0.500", "–")
     assert idle[:4] == ("idle", "", "–", "–")
-    without_frame = column_table(view, None).text_rows()[1:]
+    without_frame = weighted_table(view, None).text_rows()[1:]
     assert [row[-2] for row in without_frame] == ["–"] * 3
     assert without_frame[0][-1] == f"{100 * np.isnan(view.points[:, 0]).mean():.1f} %"
     assert without_frame[2][-1] == "–"  # the file does not say

@@ -30,10 +30,10 @@ from probevo.output.inspection.gk_plots import (
     histogram_figure,
 )
 from probevo.output.inspection.predictors import (
+    ColumnSummary,
     column_shades,
+    column_table,
     drawn,
-    spread_text,
-    undefined_text,
 )
 from probevo.output.inspection.profiles import profile_along
 from probevo.output.inspection.subject import (
@@ -58,7 +58,7 @@ from probevo.output.inspection.training_facts import (
 )
 from probevo.output.page import grid, heading, panel, row_panel, table_panel
 from probevo.output.svg import figure_style
-from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable, text_table
+from probevo.output.table import UNKNOWN_TEXT, Column, Table, readable, text_table
 from probevo.output.templating import rendered
 
 _OUT_OF_DOMAIN_REMARK = (
@@ -92,7 +92,7 @@ def sections(subject: Subject) -> Findings:
     noise = None if frame is None else view.model.predict(frame.phi)
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
-    table = column_table(view, frame)
+    table = weighted_table(view, frame)
     if frame is None:
         table = table.without("this frame")
     notes = column_notes(table.heads, has_frame=frame is not None, samples="the centers")
@@ -198,8 +198,8 @@ def frame_pictures(view: CentersView, frame: FrameView, noise: StereoNoise) -> d
     return drawn(frame, shades, noise.out_of_domain)
 
 
-def column_table(view: CentersView, frame: FrameView | None) -> Table:
-    """Make a table with a row for each column of φ, the used ones first.
+def weighted_table(view: CentersView, frame: FrameView | None) -> Table:
+    """Make a table with a row for each column of φ, the used ones first, with weight and gain.
 
     Of the others, the file of a model holds no points.
     """
@@ -207,7 +207,7 @@ def column_table(view: CentersView, frame: FrameView | None) -> Table:
     used = {column.index: column for column in view.used}
     column_of = {column.index: k for k, column in enumerate(view.used)}
     others = [m for m in range(len(metric.columns)) if m not in used]
-    rows = []
+    summaries = []
     for m in (*used, *others):
         if frame is not None:
             values = frame.phi[:, m]
@@ -217,31 +217,25 @@ def column_table(view: CentersView, frame: FrameView | None) -> Table:
             values = np.zeros(0)
         known = values[np.isfinite(values)]
         name = metric.columns[m]
-        unit = view.units.get(name, "")
-        rows.append(
-            Row(
-                (
-                    Cell(name, unit=unit),
-                    Cell(unit),
-                    Cell(used[m].weight if m in used else None),
-                    Cell(used[m].gain if m in used else None),
-                    Cell((float(metric.mean[m]), float(metric.spread[m]))),
-                    Cell(float(known.mean()) if frame is not None and len(known) else None),
-                    Cell(float(np.isnan(values).mean()) if len(values) else 0.0),
-                )
+        summaries.append(
+            ColumnSummary(
+                name=name,
+                unit=view.units.get(name, ""),
+                training=(float(metric.mean[m]), float(metric.spread[m])),
+                frame_mean=float(known.mean()) if frame is not None and len(known) else None,
+                undefined=float(np.isnan(values).mean()) if len(values) else 0.0,
             )
         )
-    return Table(
-        columns=(
-            Column("column", format=str, align="left"),
-            Column("unit", format=str),
-            Column("weight", format=_weight_text),
-            Column("gain", format=signed),
-            Column("training", format=spread_text),
-            Column("this frame"),
-            Column("undefined", format=undefined_text),
-        ),
-        rows=tuple(rows),
+    unknown = [None] * len(others)
+    return column_table(
+        summaries,
+        {
+            Column("weight", format=_weight_text): [
+                *(column.weight for column in view.used),
+                *unknown,
+            ],
+            Column("gain", format=signed): [*(column.gain for column in view.used), *unknown],
+        },
     )
 
 

@@ -16,7 +16,7 @@ from probevo.output.inspection.common_sections import (
     training_section,
 )
 from probevo.output.inspection.feature_pictures import Shades, value_shades, weight_shades
-from probevo.output.inspection.knn_data import FrameWeights, ModelView
+from probevo.output.inspection.knn_data import SEARCHED, FrameWeights, ModelView
 from probevo.output.inspection.knn_plots import (
     correlation_figure,
     distances_figure,
@@ -66,11 +66,6 @@ _TERMS = {
     "Average of α": "Kind of mean of the K nearest α, and of all of them, ᾱ.",
     "Scaled noise": "The static noise that β multiplies.",
 }
-_SEARCHES = {
-    "neighbors": ("K", "squared error of left-out samples", 1.0),
-    "exponent": ("γ", "mean error on the training drives, mm", 1e3),
-}
-"""What was searched for: its symbol, the meaning of the errors, and their factor to the unit."""
 
 
 def sections(subject: Subject) -> Findings:
@@ -122,10 +117,11 @@ def summary(model: NearestNeighbors) -> TrainingSummary:
         facts["kept"] = f"the samples of all {iterations} iterations, each of other subsets"
     paragraphs = []
     for name, search in model.training["searches"].items():
-        symbol, meaning, factor = _SEARCHES[name]
+        searched = SEARCHED[name]
         candidates = [f"{candidate:g}" for candidate in search["candidates"]]
-        errors = [f"{factor * error:.4g}" for error in search["errors"]]
-        paragraphs.append(text_table((symbol, *candidates), [(meaning, *errors)]).as_text())
+        errors = [f"{searched.to_unit * error:.4g}" for error in search["errors"]]
+        rows = [(searched.errors, *errors)]
+        paragraphs.append(text_table((searched.symbol, *candidates), rows).as_text())
     if model.exponent == 0.0:
         remark = (
             "γ is 0: nothing shows that any feature is better than another; the model is the static"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,32 @@ FAR_QUANTILE = 0.99
 this share of the training samples."""
 _BLOCK = 64
 """Queries whose distances to all samples are held in memory at a time."""
+
+
+class Searched(NamedTuple):
+    """A hyperparameter of PROBE that was searched for."""
+
+    symbol: str
+    errors: str
+    """What the candidates are compared by."""
+    errors_in_short: str
+    """The same, above a small figure."""
+    to_unit: float
+    """Factor on the errors to the unit that they are shown in."""
+
+
+SEARCHED = {
+    "neighbors": Searched(
+        "K", "squared error of left-out samples", "squared error, left-out samples", to_unit=1.0
+    ),
+    "exponent": Searched(
+        "γ",
+        "mean error on the training drives, mm",
+        "mean α, training drives, mm",
+        to_unit=1e3,
+    ),
+}
+"""By the name in the log of the searches."""
 
 
 @dataclass(frozen=True)

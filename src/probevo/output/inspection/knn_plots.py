@@ -12,7 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from probevo.arrays import FloatArray
-from probevo.output.inspection.knn_data import ModelView, rank_correlation
+from probevo.output.inspection.knn_data import SEARCHED, ModelView, rank_correlation
 from probevo.output.inspection.plots import (
     MAX_PAIRED,
     NARROW_IN,
@@ -68,16 +68,12 @@ def _common_limits(profiles: Sequence[Profile]) -> tuple[float, float]:
 
 def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
     """Draw the error over the candidates for K and γ, and which was chosen."""
-    labels = {
-        "neighbors": ("K", "squared error, left-out samples", 1.0),
-        "exponent": ("γ", "mean α, training drives, mm", 1e3),
-    }
     figure = Figure(figsize=(WIDTH_IN, 2.7))
-    shown = [name for name in labels if name in searches]
+    shown = [name for name in SEARCHED if name in searches]
     for axes, name in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
-        title, meaning, factor = labels[name]
+        searched = SEARCHED[name]
         candidates = searches[name]["candidates"]
-        errors = factor * np.array(searches[name]["errors"])
+        errors = searched.to_unit * np.array(searches[name]["errors"])
         ranks = np.arange(len(candidates))
         axes.plot(ranks, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
         chosen = int(np.argmin(np.abs(np.array(candidates) - searches[name]["chosen"])))
@@ -87,8 +83,8 @@ def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
             [f"{candidate:g}" for candidate in candidates],
             fontsize=8 if len(ranks) < 10 else 7,
         )
-        axes.set(xlabel=f"{title}; chosen: {candidates[chosen]:g}")
-        axes.set_title(meaning, color=MUTED)
+        axes.set(xlabel=f"{searched.symbol}; chosen: {candidates[chosen]:g}")
+        axes.set_title(searched.errors_in_short, color=MUTED)
     return figure
 
 

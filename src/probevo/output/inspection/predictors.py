@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,12 +121,22 @@ def column_summaries(
     return summaries
 
 
-def column_table(summaries: list[ColumnSummary]) -> Table:
-    """Make a table with a row for each column of φ."""
+def column_table(
+    summaries: Sequence[ColumnSummary],
+    further: Mapping[Column, Sequence[float | None]] | None = None,
+) -> Table:
+    """Make a table with a row for each of the M columns of φ.
+
+    Args:
+        summaries: of each column, [M].
+        further: columns of the table that follow the unit, with their values, [M] each.
+    """
+    further = further or {}
     return Table(
         columns=(
             Column("column", format=str, align="left"),
             Column("unit", format=str),
+            *further,
             Column("training", format=spread_text),
             Column("this frame"),
             Column("undefined", format=undefined_text),
@@ -136,12 +146,13 @@ def column_table(summaries: list[ColumnSummary]) -> Table:
                 (
                     Cell(column.name, unit=column.unit),
                     Cell(column.unit),
+                    *(Cell(values[m]) for values in further.values()),
                     Cell(column.training),
                     Cell(column.frame_mean),
                     Cell(column.undefined),
                 )
             )
-            for column in summaries
+            for m, column in enumerate(summaries)
         ),
     )
 

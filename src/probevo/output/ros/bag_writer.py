@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from probevo.errors import InputError
-from probevo.sequences.formats.rosbag_file import STORAGE_SUFFIXES
+from probevo.sequences.format_options import BAG_SUFFIXES
 from probevo.storage.files import check_folder, written_together
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
@@ -123,8 +123,8 @@ def check_bag_path(path: Path, option: str) -> None:
         InputError: rosbags is not installed, the ending is of no kind of bag, or the folder is
             not writable.
     """
-    if path.suffix not in STORAGE_SUFFIXES:
-        what = f"{path} ends in none of {', '.join(STORAGE_SUFFIXES)}."
+    if path.suffix not in BAG_SUFFIXES:
+        what = f"{path} ends in none of {', '.join(BAG_SUFFIXES)}."
         cure = "The ending says which kind of bag is written: .bag is ROS 1, the others ROS 2."
         raise InputError(option, what, cure)
     if path.is_dir():

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from probevo.errors import InputError
+from probevo.sequences.format_options import BAG_SUFFIXES
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -37,7 +38,6 @@ STORAGE_ERRORS = (
     ("compression.zstd", "ZstdError"),
 )
 """Module and name of the errors of the libraries below rosbags."""
-STORAGE_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -185,14 +185,14 @@ def _storage_files(path: Path) -> list[Path]:
     Raises:
         InputError: the folder holds no bag, or several of ROS 2.
     """
-    if path.is_file() and path.suffix not in STORAGE_SUFFIXES:
+    if path.is_file() and path.suffix not in BAG_SUFFIXES:
         what = f"rosbags knows a bag by its ending, and {path.suffix} is none that it knows."
         raise InputError(path, what, f"Rename it: {path.with_suffix(path.suffix.lower()).name}.")
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+    files = sorted(file for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
     if not files:
-        cure = f"Looked for metadata.yaml and files {', '.join(STORAGE_SUFFIXES)}."
+        cure = f"Looked for metadata.yaml and files {', '.join(BAG_SUFFIXES)}."
         raise InputError(path, "this folder holds no bag.", cure)
     if len(files) > 1 and any(file.suffix != ".bag" for file in files):
         names = ", ".join(file.name for file in files)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,45 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     return model
 
 
+@dataclass(frozen=True)
+class _KernelHistory:
+    """The iterations of a kernel so far.
+
+    The first one chooses the hyperparameters that are not given, and all later ones take them.
+    """
+
+    iterations: Sequence[Mapping[str, float]]
+    """What each iteration says of its progress."""
+    searches: Mapping[str, Any]
+    """The log of the choice; empty before the first iteration."""
+    given: Mapping[str, Any]
+    """Hyperparameters of the next iteration, as ``GeneralizedKernel`` takes them."""
+
+    def facts_after(
+        self, model: GeneralizedKernel, progress: Mapping[str, float]
+    ) -> dict[str, Any]:
+        """Return the history after one more iteration, in values that JSON can hold.
+
+        Args:
+            model: fitted in that iteration.
+            progress: what the iteration says of itself.
+        """
+        chosen = model.shape_.as_given() | {"weights": model.weights_.tolist()}
+        return {
+            "iterations": [*self.iterations, progress],
+            "searches": self.searches or model.search_,
+            # JSON does not know infinity.
+            "given": {name: None if value == np.inf else value for name, value in chosen.items()},
+        }
+
+    @staticmethod
+    def of_facts(facts: Mapping[str, Any]) -> _KernelHistory:
+        """Undo ``facts_after``."""
+        given = {name: np.inf if value is None else value for name, value in facts["given"].items()}
+        given["weights"] = np.array(given["weights"])
+        return _KernelHistory(facts["iterations"], facts["searches"], given)
+
+
 def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     """Learn the generalized kernel of the drives (PROBE-GK Alg. 3).
 
@@ -121,8 +161,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     static = learn_student_t(context)
     previous: Model = static
     model = GeneralizedKernel()
-    hyperparameters = settings.given()
-    training: Mapping[str, Any] = {"iterations": [], "searches": {}}
+    history = _KernelHistory(iterations=[], searches={}, given=settings.given())
     first = num_static_iterations(context.settings)
     for number in range(first, num_iterations(context.settings)):
         stored = context.checkpoint.em_model(number)
@@ -136,7 +175,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
             # M-step: the kernel over these errors.
             model = GeneralizedKernel(
                 settings.variant,
-                **hyperparameters,
+                **history.given,
                 centers=settings.centers,
                 refers_to=settings.refers_to,
             )
@@ -155,28 +194,20 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 model.time_correlation_ratio = updated_time_correlation(
                     previous.time_correlation_ratio, samples
                 )
-            chosen = model.shape_.as_given() | {"weights": model.weights_.tolist()}
-            model.training = {
-                "iterations": [*training["iterations"], samples.progress],
-                "searches": training["searches"] or model.search_,
-                "given": json_without_infinity(chosen),
-            }
+            model.training = history.facts_after(model, samples.progress)
             model = model.without_samples()
             context.checkpoint.keep_em_model(number, model)
-        # The hyperparameters of the first iteration are given to all that follow. They come from
-        # the metadata, so that a resumed training has the same bits.
-        training = model.training
-        hyperparameters = restored_infinity(training["given"])
-        hyperparameters["weights"] = np.array(hyperparameters["weights"])
-        model.weights_ = hyperparameters["weights"]
+        # From what the model's file holds, so that a resumed training has the same bits.
+        history = _KernelHistory.of_facts(model.training)
+        model.weights_ = history.given["weights"]
         previous = model
         context.progress.iteration_done()
 
     # One more E-step measures how well the last model explains the residuals.
     last = gather_error_samples(context, model, _unreported).progress
     model.camera = context.drives[0].camera
-    iterations = [*training["iterations"], last]
-    facts = training_facts(context, iterations, searches=training["searches"])
+    iterations = [*history.iterations, last]
+    facts = training_facts(context, iterations, searches=history.searches)
     model.training = facts | {"kept_iteration": len(iterations) - 1}
     return model
 
@@ -225,16 +256,6 @@ def _initial_jitter(settings: TrainSettings) -> FloatArray | None:
     if not learns or kernel.bias or kernel.variant == "published":
         return None
     return initial_covariance()
-
-
-def json_without_infinity(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace infinity, which JSON does not know, by None."""
-    return {name: None if value == np.inf else value for name, value in values.items()}
-
-
-def restored_infinity(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Undo ``json_without_infinity``."""
-    return {name: np.inf if value is None else value for name, value in values.items()}
 
 
 def training_facts(
