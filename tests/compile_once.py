@@ -3,10 +3,14 @@
 Numba reads a compiled loop from its cache, or compiles it and writes it there. Processes that start
 together find nothing there, and compile the same at the same time. With a lock on each loop, all
 but the first wait and then read what that has written.
+
+The garbage collector rests meanwhile: a sixth of the time it looks for garbage among what the
+compiler still needs.
 """
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,8 +35,20 @@ def take_turns() -> None:
 
 def _compile_in_turn(dispatcher: Any, signature: Any) -> Any:
     # The lock of the process comes first: another of its threads may hold it, and want this loop.
-    with global_compiler_lock, _locked(dispatcher._cache):
+    with global_compiler_lock, _locked(dispatcher._cache), _without_collections():
         return _compile(dispatcher, signature)
+
+
+@contextmanager
+def _without_collections() -> Iterator[None]:
+    """Let garbage wait until the outermost loop is compiled."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Fixtures for all tests."""
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -30,6 +31,9 @@ LONGEST = (
     *("estimation/test_sensor_fusion.py", "output/report/test_report.py"),
     *("cli/test_run_command.py", "training/test_workers.py"),
     *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
+    *("estimation/window/test_inertial.py", "cli/test_demo_command.py"),
+    *("nets/test_sun_methods.py", "nets/test_methods.py", "training/gk/test_jitter.py"),
+    *("estimation/window/test_window.py", "output/comparison/test_comparison.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with. Those that
 start processes of their own come later: what is compiled by then, these need not compile again."""
@@ -56,6 +60,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if missing:
         raise pytest.UsageError(f"LONGEST in {__file__} names what is not there: {missing}")
     items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what stays for good: all modules and all tests."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
 
 
 def pytest_configure(config: pytest.Config) -> None:

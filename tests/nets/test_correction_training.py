@@ -202,6 +202,7 @@ def test_a_window_learns_from_the_motions_of_two_frames_and_is_corrected(
     assert paths[1] / paths[0] == pytest.approx(LONGER, abs=0.01)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_train_run_inspect_and_compare(
     walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

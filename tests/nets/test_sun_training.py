@@ -180,6 +180,7 @@ def test_it_measures_twice_a_second_and_not_without_an_image(
     assert NORTH in direction.variables
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_train_run_and_inspect(
     walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

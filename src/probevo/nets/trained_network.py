@@ -199,8 +199,13 @@ def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network,
 
 
 def empty_networks(build_one: Callable[[jax.Array], Network], count: int = 1) -> Network:
-    """Return a structure to read networks into, of a function that builds one of a key."""
-    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), count))
+    """Return a structure to read networks into, of a function that builds one of a key.
+
+    All of its numbers are zero: to draw them, JAX would compile hundreds of operations.
+    """
+    keys = jax.random.split(jax.random.key(0), count)
+    shapes = eqx.filter_eval_shape(eqx.filter_vmap(build_one), keys)
+    networks: Network = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     return networks
 
 
