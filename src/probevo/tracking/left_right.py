@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.errors import InputError
+from probevo.sequences.format_options import BAG_SUFFIXES
 from probevo.sequences.frame import Frame
 from probevo.tracking.tracks import Tracks
 
@@ -147,7 +148,7 @@ def how_to_swap(recording: str | Path) -> str:
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return f"{SWAP_COLUMNS[:-1]}, of uv."
-    if suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file():
+    if suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return "Exchange --topics.left and --topics.right."
     if path.is_file():
         return "Exchange the two halves of the images."
