@@ -104,6 +104,13 @@ FIGURES = (
         minutes=3,
     ),
     Figure(
+        "vehicle-parts",
+        ("docs/tracker.md",),
+        "python benchmarks/vehicle_parts.py",
+        minutes=10,
+        needs_data=True,
+    ),
+    Figure(
         "subpixel",
         ("docs/tracker.md",),
         "python benchmarks/subpixel.py",
