@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from probevo.measurements.imu_reason import ImuReason
     from probevo.runs.first_matches import FirstMatches
     from probevo.sequences import Sequence
+    from probevo.sequences.frame import Frame
     from probevo.sequences.imu import ImuStream
 
 Row = tuple[str, str]
@@ -76,15 +77,17 @@ def main(words: list[str]) -> None:
     settings = checked(arguments.settings)
     from probevo.cli.first_use import say_if_compiling
     from probevo.sequences import open_sequence
+    from probevo.tracking.left_right import FRAMES_TO_SEE
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     say_if_compiling()
     rows = describe(sequence)
     try:
-        rows += examine(sequence)
+        frames = list(islice(sequence, FRAMES_TO_SEE + 1))
+        rows += examine(frames, sequence)
         rows += _order_warnings(sequence)
-        rows += _exposure_warnings(sequence)
-        rows += _mosaic_warnings(sequence)
+        rows += _exposure_warnings(frames)
+        rows += _mosaic_warnings(frames)
         rows += _imu_warnings(sequence)
     finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
@@ -301,18 +304,17 @@ def _order_warnings(sequence: Sequence) -> Rows:
     return [(name, text) for name, text in warnings.items() if text]
 
 
-def _exposure_warnings(sequence: Sequence) -> Rows:
+def _exposure_warnings(frames: list[Frame]) -> Rows:
     """Warn of cameras whose exposures differ, by the contrast of the first images."""
     import numpy as np
 
     from probevo.tracking.contrast import MIN_GAIN_IN_STEREO, symmetric_gain
-    from probevo.tracking.left_right import FRAMES_TO_SEE
     from probevo.tracking.preparation import right_contrast
 
     config = RunConfig().tracking
     ratios = [
         right_contrast(frame.left, frame.right, config)
-        for frame in islice(sequence, FRAMES_TO_SEE + 1)
+        for frame in frames
         if frame.left is not None and frame.right is not None
     ]
     ratio = float(np.median(ratios)) if ratios else np.nan
@@ -325,14 +327,13 @@ def _exposure_warnings(sequence: Sequence) -> Rows:
     return [("! exposure", text)]
 
 
-def _mosaic_warnings(sequence: Sequence) -> Rows:
+def _mosaic_warnings(frames: list[Frame]) -> Rows:
     """Warn of raw images of colour cameras."""
-    from probevo.tracking.color_mosaic import MIN_DIFFERENCE, difference_of_places
-    from probevo.tracking.left_right import FRAMES_TO_SEE
+    from probevo.tracking.color_mosaic import MIN_DIFFERENCE, mosaic_difference
 
     differences = [
-        max(difference_of_places(frame.left), difference_of_places(frame.right))
-        for frame in islice(sequence, FRAMES_TO_SEE + 1)
+        max(mosaic_difference(frame.left), mosaic_difference(frame.right))
+        for frame in frames
         if frame.left is not None and frame.right is not None
     ]
     # A mosaic is in every image; in a single one, a pattern of the scene may look like it.
@@ -347,20 +348,14 @@ def _mosaic_warnings(sequence: Sequence) -> Rows:
     return [("! mosaic", text)]
 
 
-def examine(sequence: Sequence) -> Rows:
-    """Describe the stereo matches of the first frames.
+def examine(frames: list[Frame], sequence: Sequence) -> Rows:
+    """Describe the stereo matches of the first frames of a recording.
 
     They show the disparity, the row offset, and whether left and right are swapped or the same.
     """
     from probevo.runs.first_matches import first_matches
-    from probevo.tracking.left_right import (
-        FRAMES_TO_SEE,
-        are_identical,
-        how_to_swap,
-        looks_swapped,
-    )
+    from probevo.tracking.left_right import are_identical, how_to_swap, looks_swapped
 
-    frames = list(islice(sequence, FRAMES_TO_SEE + 1))
     if frames and all(are_identical(frame) for frame in frames):
         text = (
             f"left and right are identical in the first {len(frames)} frames: no depth, no motion"

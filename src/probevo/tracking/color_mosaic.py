@@ -10,11 +10,12 @@ six recordings have 0.004 at most; filters of red, green and blue differ by a th
 anything that is not grey."""
 
 
-def difference_of_places(image: Image) -> float:
-    """Return by how much the means of even and odd rows and columns differ, relative to the least.
+def mosaic_difference(image: Image) -> float:
+    """Return by how much the mean grey levels under the four filters of a mosaic would differ,
+    relative to the smallest one.
 
-    A mosaic has one filter for each of the four places in a square of two by two pixels. In a grey
-    image, all four see the same scene.
+    A mosaic has one filter for each pixel of a square of two by two, so that each is a mean over
+    every second row and column. In a grey image, all four see the same scene.
 
     Args:
         image: grey levels, [H, W].
