@@ -21,6 +21,8 @@ MIN_MOTION = 100.0
 """Squared length of a motion, in units of its covariance, above which it tells of the errors of the
 images; noise alone has 6. At rest, the estimated motion is noise, and so would be the errors
 that are learned from it for as long as the rig stands."""
+ROWS_OF_BLOCK = 64
+"""Rows of a product that BLAS computes at once, on one thread."""
 
 
 @dataclass(frozen=True)
@@ -220,6 +222,15 @@ def evaluated_at(
 
 
 def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return Σ_n left_nᵀ right_n of [N, 4, K] and [N, 4, L]: [K, L]."""
-    total: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
+    """Return Σ_n left_nᵀ right_n of [N, 4, K] and [N, 4, L]: [K, L].
+
+    The sum is taken block by block. BLAS would divide one large product among its threads, which
+    wait for the next one in a busy loop: a frame would be no faster, and keep a second core busy.
+    """
+    left_rows = left.reshape(-1, left.shape[2])
+    right_rows = right.reshape(-1, right.shape[2])
+    total = np.zeros((left.shape[2], right.shape[2]))
+    for first in range(0, len(left_rows), ROWS_OF_BLOCK):
+        block = slice(first, first + ROWS_OF_BLOCK)
+        total += left_rows[block].T @ right_rows[block]
     return total
