@@ -27,7 +27,7 @@ from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations
 from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
-from probevo.estimation.window.estimator import WindowEstimator
+from probevo.estimation.window.estimator import FoundAgain, WindowEstimator
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.live_motion import live_advance, live_motion
 from probevo.estimation.window.window import Window
@@ -395,9 +395,13 @@ class StereoOdometry:
         if of_scene is not observed:
             observed = of_scene
             solved = self._solve(observed, others, clock)
-        # Recovery
+        # Recovery, where the features are lost. A window connects the last usable frame also with
+        # one that is solved from the previous frame.
+        state = observed.prediction.state
+        is_solved = solved.visual.status is Status.OK
+        is_lost = solved.is_lost and state.last_usable is not None
         usable = observed.prediction.from_last_usable()
-        if usable is None or not solved.is_lost:
+        if usable is None or not (is_lost or (is_solved and state.window is not None)):
             return solved
         prediction, recovery = usable
         # Sensors measure from the previous frame, not from the last usable one: leave them out.
@@ -405,7 +409,14 @@ class StereoOdometry:
         fewest = INLIERS_FACTOR * self.config.solver.min_tracks
         if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
             return solved
-        return replace(found, recovery=recovery)
+        if not is_solved:
+            return replace(found, recovery=recovery)
+        return replace(
+            solved,
+            found_again=FoundAgain(
+                prediction.state.frame.index, found.calibrated, recovery.noise_factor
+            ),
+        )
 
     def _solve(
         self, observed: Observed, others: Sequence[Measurement], clock: StageClock
@@ -514,6 +525,9 @@ class StereoOdometry:
             is_frozen=solved.observed.is_frozen,
             window=window,
             last_usable=state.last_usable_after(prediction.duration_s, two_frame),
+            unconnected=state.unconnected_after(
+                prediction.duration_s, two_frame, is_connected=solved.found_again is not None
+            ),
         )
         return estimate, after
 
@@ -622,4 +636,5 @@ class StereoOdometry:
             noise_factor=1.0 if solved.recovery is None else solved.recovery.noise_factor,
             shares=shares,
             measurements=measurements,
+            found_again=solved.found_again,
         )

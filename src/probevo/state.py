@@ -16,7 +16,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.noise_scale import NoiseScale
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.recovery import DeadReckonedPath
+from probevo.estimation.recovery import MAX_DURATION_S, DeadReckonedPath
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.window import Window
@@ -102,6 +102,9 @@ class OdometryState:
     last_usable: LastUsable | None = None
     """The frame from which the path is dead-reckoned; None if the motion to the last frame was
     solved from images."""
+    unconnected: LastUsable | None = None
+    """The last usable frame before steps that were dead-reckoned, though the last one was solved,
+    until features connect it with a frame behind them; None without a window."""
 
     @staticmethod
     def at_first_frame(
@@ -150,8 +153,26 @@ class OdometryState:
         """Return where dead reckoning starts after the next motion; None if that was solved."""
         if motion.status in (Status.OK, Status.RECOVERED):
             return None
-        usable = self.last_usable or LastUsable(self, DeadReckonedPath.none())
+        usable = self.last_usable or LastUsable(
+            replace(self, unconnected=None), DeadReckonedPath.none()
+        )
         return replace(usable, path=usable.path.advanced(duration_s, motion))
+
+    def unconnected_after(
+        self, duration_s: float, motion: MotionEstimate, *, is_connected: bool
+    ) -> LastUsable | None:
+        """Return the last usable frame that is still to be connected after the next motion.
+
+        Args:
+            duration_s: time of that motion.
+            motion: the motion.
+            is_connected: whether it has found features of that frame.
+        """
+        usable = self.last_usable or self.unconnected
+        if usable is None or self.window is None or motion.status is not Status.OK or is_connected:
+            return None
+        path = usable.path.advanced(duration_s, motion)
+        return replace(usable, path=path) if path.duration_s <= MAX_DURATION_S else None
 
 
 def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConfig) -> Window:

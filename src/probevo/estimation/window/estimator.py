@@ -104,6 +104,17 @@ MIN_VARIANCE_PX2 = 1e-12
 
 
 @dataclass(frozen=True)
+class FoundAgain:
+    """The motion from the last frame before dead reckoning, by features that are found again."""
+
+    frame: int
+    """Index of that frame."""
+    solved: CalibratedMotion
+    noise_factor: float
+    """Factor of the variance of these tracks, which span several frames."""
+
+
+@dataclass(frozen=True)
 class _System:
     """The normal equations of a window at its current values."""
 
@@ -142,6 +153,7 @@ class WindowEstimator:
         noise_factor: float = 1.0,
         shares: Shares | None = None,
         measurements: Sequence[Measurement] = (),
+        found_again: FoundAgain | None = None,
     ) -> Window:
         """Return the window after a step, starting from the motion that two frames have shown.
 
@@ -157,24 +169,20 @@ class WindowEstimator:
             shares: how the features and their corrected motion share the information of their
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
+            found_again: the solve of features that an earlier frame saw before dead reckoning; None
+                if there are none.
         """
         # Without an accepted solve there is no noise of the features to count them with.
         visual = solved.visual
         frame = motion.curr.frame
-        if visual.status is not Status.OK or visual.noise is None:
+        features = self._features_of(solved, noise_factor)
+        if features is None:
             return self.without_features(window, frame, motion, measurements)
-        noise = visual.noise
-        if noise_factor != 1.0:
-            noise = noise.scaled(np.full(len(noise.scale), noise_factor))
+        tracks, noise = features
         if shares is not None:
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
         if solved.jitter_cov is not None:
             window = replace(window, jitter_cov=solved.jitter_cov)
-        # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
-        rig = solved.corrected.rig
-        tracks = solved.corrected.simultaneous.subset(visual.used)
-        if rig is not None:
-            tracks = tracks.corrected_for_window(rig, self._camera)
         after = self.with_features(
             inertial_steps.with_inflated_factor_if_refuted(window, motion),
             frame,
@@ -183,6 +191,7 @@ class WindowEstimator:
             two_frames=motion,
             measurements=measurements,
             motion_factor=None if shares is None else shares.motion,
+            found_again=found_again,
         )
         if solved.corrected.rig is None or solved.rig is None:
             return after
@@ -195,6 +204,24 @@ class WindowEstimator:
         )
         return replace(after, distortion=distortion)
 
+    def _features_of(
+        self, solved: CalibratedMotion, noise_factor: float
+    ) -> tuple[Tracks, StereoNoise] | None:
+        """Return the tracks of an accepted solve as the window takes them, and their noise, with
+        variances times a factor; None without one."""
+        visual = solved.visual
+        if visual.status is not Status.OK or visual.noise is None:
+            return None
+        noise = visual.noise
+        if noise_factor != 1.0:
+            noise = noise.scaled(np.full(len(noise.scale), noise_factor))
+        # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
+        rig = solved.corrected.rig
+        tracks = solved.corrected.simultaneous.subset(visual.used)
+        if rig is not None:
+            tracks = tracks.corrected_for_window(rig, self._camera)
+        return tracks, noise
+
     def with_features(
         self,
         window: Window,
@@ -205,6 +232,7 @@ class WindowEstimator:
         two_frames: RelativePose,
         measurements: Sequence[Measurement] = (),
         motion_factor: float | None = None,
+        found_again: FoundAgain | None = None,
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
 
@@ -222,12 +250,15 @@ class WindowEstimator:
                 entered the solve of two frames.
             motion_factor: factor of the covariance with which ``two_frames`` counts beside the
                 features; None if it does not.
+            found_again: the solve of features that an earlier frame saw; they count beside these.
         """
         prev = window.slot(two_frames.variables[0].frame)
         try:
             extended = self.with_frame(
                 window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
             )
+            if found_again is not None:
+                extended = self._with_found_again(extended, found_again, tracks)
             counted = list(measurements)
             if motion_factor is not None:
                 counted.append(two_frames.scaled(motion_factor))
@@ -371,9 +402,37 @@ class WindowEstimator:
             prev: slot of the previous frame, which is the last one unless those after it are
                 blind.
         """
-        # Which observation belongs to which landmark.
-        num_frames = len(window)
-        prev %= num_frames
+        prev %= len(window)
+        # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
+        # so that the pose may still be linearised anew (``_incremented``).
+        T_new = T_curr_prev @ window.T_cam_world[prev]
+        extended = replace(
+            window,
+            inertial=window.inertial.with_new_frame(),
+            frames=np.append(window.frames, frame),
+            T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
+            T_linear=np.concatenate([window.T_linear, T_new[None]]),
+            is_blind=np.append(window.is_blind, True),
+            distortion=window.distortion.carried_to_new(prev, T_curr_prev),
+            jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
+            prior=with_pose(window.prior),
+        )
+        return self._with_tracks(extended, tracks, noise, prev=prev)
+
+    def _with_tracks(
+        self, window: Window, tracks: Tracks, noise: StereoNoise, *, prev: int
+    ) -> Window:
+        """Return the window with observations of its newest frame; see ``with_frame``.
+
+        Args:
+            window: K frames.
+            tracks: N tracks from one of them to the newest.
+            noise: of these N tracks.
+            prev: slot of the frame where they start.
+        """
+        if not len(tracks):
+            return window
+        newest = len(window) - 1
         # The landmark of each track; new ones are numbered behind those of the window.
         rows = _rows_of(window, tracks.ids, prev)
         is_new = rows < 0
@@ -396,7 +455,7 @@ class WindowEstimator:
             raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
         new = WindowObservations(
             start=np.zeros(0, np.int64),
-            slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
+            slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), newest)]),
             pixels=np.concatenate([first_px, tracks.curr_px - bias[rows]]),
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
@@ -419,24 +478,33 @@ class WindowEstimator:
             static_weight=np.concatenate([window.landmarks.static_weight, np.ones(len(first_px))]),
             bias=bias,
         )
-        # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
-        # so that the pose may still be linearised anew (``_incremented``).
-        T_new = T_curr_prev @ window.T_cam_world[prev]
-        is_blind = np.append(window.is_blind, len(tracks) == 0)
-        is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
+        # A frame that was dead-reckoned is no longer blind where features are found again.
+        is_blind = window.is_blind.copy()
+        is_blind[[prev, newest]] = False
         return replace(
             window,
-            inertial=window.inertial.with_new_frame(),
-            frames=np.append(window.frames, frame),
-            T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
-            T_linear=np.concatenate([window.T_linear, T_new[None]]),
             is_blind=is_blind,
-            distortion=window.distortion.carried_to_new(prev, T_curr_prev),
-            jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
-            prior=with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
             landmarks=landmarks,
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
+        )
+
+    def _with_found_again(self, window: Window, found: FoundAgain, tracks: Tracks) -> Window:
+        """Return the window with features in its newest frame that an earlier one saw.
+
+        Args:
+            window: K frames.
+            found: the solve of these features.
+            tracks: those that connect the newest frame with the one before; a feature that is one
+                of them counts only once.
+        """
+        features = self._features_of(found.solved, found.noise_factor)
+        if features is None:
+            return window
+        of_frame, noise = features
+        others = np.flatnonzero(~np.isin(of_frame.ids, tracks.ids))
+        return self._with_tracks(
+            window, of_frame.subset(others), noise.subset(others), prev=window.slot(found.frame)
         )
 
     def adjusted(self, window: Window) -> Window:
