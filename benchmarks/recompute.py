@@ -111,6 +111,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "gaps",
+        ("docs/window.md",),
+        "python benchmarks/gaps.py",
+        minutes=10,
+        needs_data=True,
+    ),
+    Figure(
         "subpixel",
         ("docs/tracker.md",),
         "python benchmarks/subpixel.py",

@@ -17,6 +17,8 @@ from intervals import chi2_interval
 from probevo.arrays import FloatArray, Image
 from probevo.config import GyroConfig, SolverConfig, TrackingConfig
 from probevo.errors import InputError
+from probevo.estimation.recovery import DeadReckonedPath
+from probevo.estimation.window.estimator import WindowEstimator
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import relative_motions
@@ -30,6 +32,7 @@ from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.missing_data import Defect, MissingData
+from probevo.state import LastUsable
 from probevo.tracking import preparation
 from probevo.tracking.preparation import high_pass
 from worlds import (
@@ -697,6 +700,34 @@ def test_images_that_overwrite_those_of_the_last_usable_frame_are_refused(tmp_pa
         odometry.step(frame)
     with pytest.raises(InputError, match="in the same memory as that of frame 3"):
         odometry.step(frames[5])
+
+
+@pytest.mark.parametrize("is_overwritten", [False, True])
+def test_images_that_overwrite_those_to_be_connected_give_these_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_overwritten: bool
+) -> None:
+    """Unlike the last usable frame of a dead-reckoned path, that one is not needed any more."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 6))
+    frames = list(sequence)
+    odometry = pv.StereoOdometry(sequence.camera)
+    for frame in frames[:5]:
+        odometry.step(frame)
+    state = odometry.state
+    assert state is not None
+    # As if frame 4 had been dead-reckoned, and features of frame 3 not found in it.
+    usable = LastUsable(replace(state, frame=frames[3]), DeadReckonedPath.none())
+    odometry._state = replace(state, unconnected=usable)
+    found = []
+    with_step = WindowEstimator.with_step
+
+    def spy(*values: Any, found_again: Any, **keywords: Any) -> Any:
+        found.append(found_again is not None)
+        return with_step(*values, found_again=found_again, **keywords)
+
+    monkeypatch.setattr(WindowEstimator, "with_step", spy)
+    images = frames[3] if is_overwritten else frames[5]
+    odometry.step(replace(frames[5], left=images.left, right=images.right))
+    assert found == [not is_overwritten]
 
 
 @pytest.mark.parametrize("seed", range(8))

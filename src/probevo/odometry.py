@@ -27,7 +27,7 @@ from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations
 from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
-from probevo.estimation.window.estimator import FoundAgain, WindowEstimator
+from probevo.estimation.window.estimator import SolvedTracks, WindowEstimator
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.live_motion import live_advance, live_motion
 from probevo.estimation.window.window import Window
@@ -38,7 +38,7 @@ from probevo.measurements.sensor import Sensor
 from probevo.measurements.sensor_suite import SensorSuite
 from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
-from probevo.prediction import Prediction, motion_for_window, predict
+from probevo.prediction import Prediction, motion_for_window, predict, velocity_for_window
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import (
     as_camera,
@@ -49,7 +49,7 @@ from probevo.python_arguments import (
     as_sensors,
 )
 from probevo.sequences.frame import Frame
-from probevo.sequences.frame_checks import check_memory
+from probevo.sequences.frame_checks import check_memory, share_memory
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
@@ -126,6 +126,8 @@ class StereoOdometry:
             return MotionEstimate.first(missing)
         if state.last_usable is not None:
             check_memory(state.last_usable.state.frame, frame)
+        if state.unconnected is not None and share_memory(state.unconnected.state.frame, frame):
+            state = replace(state, unconnected=None)  # its images are no more
         clock = StageClock(decode=frame.decode_ms)
         prediction = predict(state, frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
@@ -411,12 +413,10 @@ class StereoOdometry:
             return solved
         if not is_solved:
             return replace(found, recovery=recovery)
-        return replace(
-            solved,
-            found_again=FoundAgain(
-                prediction.state.frame.index, found.calibrated, recovery.noise_factor
-            ),
+        found_again = SolvedTracks(
+            prediction.state.frame.index, found.calibrated, recovery.noise_factor
         )
+        return replace(solved, found_again=found_again)
 
     def _solve(
         self, observed: Observed, others: Sequence[Measurement], clock: StageClock
@@ -629,11 +629,16 @@ class StereoOdometry:
         # dead-reckoned motion, whose rotation is the gyro's.
         if not window.inertial.has_measured and solved.is_step_solved:
             measurements += measured.by_gyro
+        recovery = solved.recovery
         return self._window_estimator.with_step(
             window,
-            solved.calibrated,
+            SolvedTracks(
+                prediction.state.frame.index,
+                solved.calibrated,
+                noise_factor=1.0 if recovery is None else recovery.noise_factor,
+            ),
             motion_for_window(window, prediction, corrected),
-            noise_factor=1.0 if solved.recovery is None else solved.recovery.noise_factor,
+            velocity=velocity_for_window(window, prediction),
             shares=shares,
             measurements=measurements,
             found_again=solved.found_again,

@@ -12,6 +12,7 @@ from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_steps import with_samples
 from probevo.estimation.window.window import Window
 from probevo.measurements.base import pose_of
+from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
@@ -206,4 +207,25 @@ def motion_for_window(
         )
     return RelativePose(
         motion.T_curr_prev, motion.cov, curr=curr, prev=pose_of(prediction.state.frame.index)
+    )
+
+
+def velocity_for_window(window: Window, prediction: Prediction) -> ConstantVelocity | None:
+    """Return that the velocity of a step is that of the step before, as a measurement of the
+    window; None if the window does not have that step.
+
+    Args:
+        window: the window before the step.
+        prediction: the prediction of the step.
+    """
+    frames = prediction.state.observations.frames
+    if len(frames) < 2 or frames[-2].frame not in window.frames:
+        return None
+    before, prev = frames[-2:]
+    return ConstantVelocity(
+        pose_of(before.frame),
+        pose_of(prev.frame),
+        pose_of(prediction.frame.index),
+        duration_ratio=prediction.duration_s / (1e-9 * (prev.stamp_ns - before.stamp_ns)),
+        covariance=prediction.state.motion_model.change_cov(prediction.duration_s),
     )

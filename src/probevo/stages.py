@@ -9,7 +9,7 @@ from probevo.estimation.motion_estimate import Status
 from probevo.estimation.recovery import STATUSES_WITHOUT_FEATURES, Recovery
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.visual_motion import VisualMotion
-from probevo.estimation.window.estimator import FoundAgain
+from probevo.estimation.window.estimator import SolvedTracks
 from probevo.measurements.base import Measurement
 from probevo.measurements.sensor import Reading
 from probevo.prediction import Prediction
@@ -65,8 +65,8 @@ class Solved:
     calibrated: CalibratedMotion
     recovery: Recovery | None = None
     """Set if the motion starts at the last usable frame instead of the previous one."""
-    found_again: FoundAgain | None = None
-    """Set if features of the last usable frame are found again in a step that is solved from the
+    found_again: SolvedTracks | None = None
+    """Tracks from the last usable frame, if they are found again in a step that is solved from the
     previous one: they connect the path across the dead-reckoned frames."""
 
     @property

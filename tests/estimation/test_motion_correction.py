@@ -225,9 +225,7 @@ def test_a_corrected_motion_that_stands_for_the_features_counts_in_full() -> Non
     motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
     none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
     # The pose before is not connected with it either, so that the adjustment fixes no motion.
-    after = by.with_features(
-        window, frame, Tracks.none(), none, two_frames=motion, motion_factor=1e9
-    )
+    after = by.with_features(window, Tracks.none(), none, two_frames=motion, motion_factor=1e9)
     _, found = after.relative(len(after) - 1, len(after) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
 

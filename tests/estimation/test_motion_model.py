@@ -452,3 +452,36 @@ def test_behind_repeated_images_the_velocity_is_between_that_of_one_step_and_of_
     np.testing.assert_allclose(model.twist_sigma[2], 0.375 * abs(fast[2]), rtol=1e-3)
     after = model.after_solve(0.1, forward, 1e-6 * np.eye(6))
     np.testing.assert_allclose(after.twist, fast, atol=1e-9)
+
+
+def test_agreement_by_information_is_that_by_covariance() -> None:
+    """Where the information has an inverse."""
+    prediction = driving().predict(STEP_S, None)
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6)) * np.repeat([0.1, 0.02], 3)[:, None]
+    cov = root @ root.T
+    agreed = set()
+    for scale in np.geomspace(0.1, 100.0, 40):
+        T_curr_prev = (
+            se3.exp(scale * rng.normal(size=6) * np.repeat([0.1, 0.3], 3)) @ prediction.T_curr_prev
+        )
+        agrees = prediction.agrees(T_curr_prev, np.linalg.inv(cov))
+        assert agrees is not prediction.fails_gate(T_curr_prev, cov)
+        agreed.add(agrees)
+    assert agreed == {True, False}
+
+
+def test_a_direction_without_information_contradicts_nothing() -> None:
+    prediction = driving().predict(STEP_S, None)
+    rotation_only = np.diag([0.0, 0.0, 0.0, 1e8, 1e8, 1e8])
+    far_off = se3.exp(np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0])) @ prediction.T_curr_prev
+    assert prediction.agrees(far_off, rotation_only)
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 2.5, 0.0])) @ prediction.T_curr_prev
+    assert not prediction.agrees(turned, rotation_only)
+
+
+def test_the_change_of_a_motion_is_its_prediction_without_the_error_of_the_velocity() -> None:
+    known = replace(driving(), twist_sigma=np.full(6, 1e-9))
+    expected = known.predict(STEP_S, None).cov
+    np.testing.assert_allclose(known.change_cov(STEP_S), expected, rtol=1e-6)
+    np.testing.assert_allclose(driving().change_cov(STEP_S), expected, rtol=1e-6)

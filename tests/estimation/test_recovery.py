@@ -1,5 +1,7 @@
 """Frames that show nothing, and the features that are seen again behind them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from probevo.estimation.recovery import (
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.sequences.frame import StereoFeatures
 from worlds import CAMERA, FORWARD, blind_frame, drive
 
 FRAMES = 14
@@ -214,3 +217,89 @@ def test_behind_blind_frames_the_motion_of_the_images_is_that_of_the_step(estima
     assert estimate.status is pv.Status.RECOVERED
     error = se3.log(true[BLIND[-1]] @ se3.inverse(odometry.T_of_images))
     assert np.linalg.norm(error[:3]) < 0.2
+
+
+def drive_past_a_lorry(
+    rng: np.random.Generator, *, hidden: range, count: int = FRAMES
+) -> tuple[list[pv.Frame], FloatArray]:
+    """A drive that sees other points from the first hidden frame on, and those before again behind
+    the hidden ones; and its true motions."""
+    changes = rng.normal(size=(count, 6)) * np.repeat([0.01, 0.001], 3)
+    true = np.array([se3.exp(change) @ FORWARD for change in np.cumsum(changes, axis=0)])
+    behind = drive(rng, count, true, points=100)
+    others = drive(rng, count, true, points=100)
+    frames = []
+    for frame, of_others in zip(behind, others, strict=True):
+        before, after = frame.features, of_others.features
+        assert before is not None
+        assert after is not None
+        ids = np.zeros(0, np.int64)
+        pixels = np.zeros((0, 4))
+        if frame.index not in hidden:
+            ids, pixels = before.ids, before.pixels
+        if frame.index >= hidden.start:
+            ids = np.concatenate([ids, after.ids + 10**6])
+            pixels = np.vstack([pixels, after.pixels])
+        frames.append(replace(frame, features=StereoFeatures(ids, pixels)))
+    return frames, true[1:]
+
+
+@pytest.mark.parametrize("hidden", [range(7, 8), range(7, 10)])
+def test_a_window_connects_the_frames_before_with_any_behind_that_see_the_same(
+    hidden: range,
+) -> None:
+    """The first frame behind a gap is solved, but from the one before it, whose place is only
+    dead-reckoned."""
+    of_pose = []
+    for seed in range(10):
+        frames, true = drive_past_a_lorry(np.random.default_rng(seed), hidden=hidden)
+        odometry = pv.StereoOdometry(CAMERA)
+        T_world_cam = np.eye(4)
+        statuses = []
+        for frame in frames:
+            motion = odometry.step(frame)
+            statuses.append(motion.status)
+            if frame.index:
+                T_world_cam = T_world_cam @ se3.inverse(true[frame.index - 1])
+            if frame.index == hidden.start:
+                uncertain = motion.pose_cov
+        lost = [k for k, status in enumerate(statuses) if status is not pv.Status.OK]
+        assert lost == [0, hidden.start]
+        # Dead reckoning has left 0.02 rad, which is in all later poses but for the connection.
+        assert np.sqrt(np.diagonal(uncertain)[3:]).max() > 0.015
+        assert np.sqrt(np.diagonal(motion.pose_cov)[3:]).max() < 0.003
+        assert odometry.state is not None
+        assert odometry.state.unconnected is None
+        of_pose.append(
+            normalized_error_squared(
+                se3.inverse(T_world_cam), se3.inverse(motion.T_world_cam), motion.pose_cov
+            )
+        )
+    _, high = chi2_interval(6, len(of_pose))
+    assert np.mean(of_pose) < high
+
+
+def test_what_is_never_seen_again_is_given_up() -> None:
+    """And nothing holds on to the frames before, however often that happens."""
+    frames, _ = drive_past_a_lorry(np.random.default_rng(0), hidden=range(7, 60), count=60)
+    odometry = pv.StereoOdometry(CAMERA)
+    waited = 0
+    for frame in frames:
+        odometry.step(frame)
+        assert odometry.state is not None
+        usable = odometry.state.unconnected
+        if usable is not None:
+            waited += 1
+            assert usable.state.unconnected is None
+            assert usable.path.duration_s <= MAX_DURATION_S
+    assert 20 < waited < 10 * MAX_DURATION_S
+    assert odometry.state.unconnected is None
+
+
+def test_two_frames_have_nothing_to_connect() -> None:
+    frames, _ = drive_past_a_lorry(np.random.default_rng(0), hidden=range(7, 8))
+    odometry = pv.StereoOdometry(CAMERA, config={"estimator": "two-frame"})
+    for frame in frames:
+        odometry.step(frame)
+        assert odometry.state is not None
+        assert odometry.state.unconnected is None

@@ -95,6 +95,25 @@ class MotionPrediction:
         with_sudden_turn[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
         return self.squared_distance(T_curr_prev, with_sudden_turn) > gate
 
+    def agrees(self, T_curr_prev: FloatArray, information: FloatArray) -> bool:
+        """Return whether a solved motion passes the gate in the directions that it determines.
+
+        Args:
+            T_curr_prev: the motion, [4, 4].
+            information: about its left perturbation, [6, 6], which may be singular.
+        """
+        if self.alternative is not None and self.alternative.agrees(T_curr_prev, information):
+            return True
+        cov = self.cov.copy()
+        cov[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
+        # In units u of the prediction's standard deviations, with information M of the solve,
+        # (1 + M⁻¹)⁻¹ = M (1 + M)⁻¹, which needs no inverse of M.
+        root = np.linalg.cholesky(cov)
+        u = np.linalg.solve(root, self.innovation(T_curr_prev))
+        values, directions = np.linalg.eigh(root.T @ information @ root)
+        share = np.maximum(values, 0.0) / (1.0 + np.maximum(values, 0.0))
+        return bool(share @ (directions.T @ u) ** 2 <= INNOVATION_GATE)
+
     def squared_distance(self, T_curr_prev: FloatArray, cov: FloatArray) -> float:
         """Return the squared Mahalanobis distance of the prediction from a motion [4, 4] with
         covariance [6, 6], whose error is independent."""
@@ -169,11 +188,7 @@ class MotionModel:
         T_curr_prev = np.empty((4, 4))
         perturb(self.twist * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
-        # Errors of both stamps change the length of the interval, and so the distance. An error
-        # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
-        stamp_sigma_s = min(self.config.stamp_sigma_s, MAX_STAMP_SHARE * duration_s)
-        stamp_variance = 2.0 * stamp_sigma_s**2
-        cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist, self.twist)
+        cov = velocity_sensitivity**2 + self._cov_by_stamps(duration_s)
         if gyro is not None:
             # The gyro replaces the predicted rotation. Errors of its mounting and its scale grow
             # with the rotation, those of its clock with the change of the rate.
@@ -198,6 +213,24 @@ class MotionModel:
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
         )
+
+    def change_cov(self, duration_s: float) -> FloatArray:
+        """Return the covariance of the next motion, given that of the step before: of the
+        acceleration between them, [6, 6].
+
+        Args:
+            duration_s: time between the two frames.
+        """
+        change = (self._drifted_sigma(duration_s) - self.twist_sigma) * duration_s
+        return np.diag(change**2 + MIN_SIGMA**2) + self._cov_by_stamps(duration_s)
+
+    def _cov_by_stamps(self, duration_s: float) -> FloatArray:
+        """Return the covariance that errors of the stamps give a predicted motion, [6, 6]."""
+        # Errors of both stamps change the length of the interval, and so the distance. An error
+        # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
+        stamp_sigma_s = min(self.config.stamp_sigma_s, MAX_STAMP_SHARE * duration_s)
+        cov: FloatArray = 2.0 * stamp_sigma_s**2 * np.outer(self.twist, self.twist)
+        return cov
 
     def starts(self, duration_s: float, prediction: MotionPrediction) -> list[FloatArray]:
         """Return the motions, [4, 4] each, to start tracking from.

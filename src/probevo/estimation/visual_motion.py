@@ -79,6 +79,9 @@ class VisualMotion:
     estimated_noise_factor: float | None = None
     """Factor by which the variances of the noise model would fit the residuals; None if they do not
     show it, or if the model keeps its scale."""
+    is_weak: bool = False
+    """Whether the tracks leave a direction of the motion open, status DEGENERATE, but agree with
+    each other and with the prediction in all others."""
     num_out_of_domain: int | None = None
     """Number of tracks used that are outside of the noise model's training data. None without a
     solve, or if the model has no such domain."""
@@ -303,6 +306,10 @@ class VisualEstimator:
             disparities=(
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
+            is_weak=status is Status.DEGENERATE
+            and solution.converged
+            and _has_inliers(solve.estimate.weights, len(tracks), self._config)
+            and priors.prediction.agrees(solution.T_curr_prev, solution.hessian),
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
         )
@@ -599,12 +606,17 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    # A minority of the tracks has to have more inliers (``MINORITY_FACTOR``).
-    is_minority = len(weights) < 0.5 * num_tracks
-    if num_inliers(weights) < config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1):
+    if not _has_inliers(weights, num_tracks, config):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.
     if not solution.converged or prediction.fails_gate(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED
     return Status.OK
+
+
+def _has_inliers(weights: FloatArray, num_tracks: int, config: OdometryConfig) -> bool:
+    # A minority of the tracks has to have more inliers (``MINORITY_FACTOR``).
+    is_minority = len(weights) < 0.5 * num_tracks
+    fewest = config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1)
+    return num_inliers(weights) >= fewest

@@ -189,13 +189,21 @@ def check_memory(kept: Frame, curr: Frame) -> None:
     Raises:
         InputError: an image shares memory with the earlier frame's.
     """
+    if share_memory(kept, curr):
+        what = (
+            f"an image of it is in the same memory as that of frame {kept.index}, which is still"
+            " needed."
+        )
+        cure = "Hand in a new array each time, such as image.copy()."
+        raise InputError(f"frame {curr.index}", what, cure)
+
+
+def share_memory(kept: Frame, curr: Frame) -> bool:
+    """Return whether an image of a frame is in the memory of an earlier one's, as of a driver with
+    few buffers."""
     for kept_image, image in ((kept.left, curr.left), (kept.right, curr.right)):
         if kept_image is None or image is None:
             continue
         if kept_image.ctypes.data == image.ctypes.data:
-            what = (
-                f"an image of it is in the same memory as that of frame {kept.index}, which is"
-                " still needed."
-            )
-            cure = "Hand in a new array each time, such as image.copy()."
-            raise InputError(f"frame {curr.index}", what, cure)
+            return True
+    return False

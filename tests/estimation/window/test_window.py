@@ -81,9 +81,7 @@ def windows_of(
         tracks = tracks_between(prev, curr)
         noise = noise_of(len(tracks), dof=dof, tau_px=tau_px)
         two_frames = step_to(curr.index, guess)
-        windows.append(
-            by.with_features(windows[-1], curr.index, tracks, noise, two_frames=two_frames)
-        )
+        windows.append(by.with_features(windows[-1], tracks, noise, two_frames=two_frames))
     return windows
 
 
@@ -354,7 +352,6 @@ def test_after_a_blackout_measured_rotations_turn_the_window_no_further() -> Non
             before = window
             window = by.with_features(
                 window,
-                k,
                 tracks,
                 noise_of(len(tracks)),
                 two_frames=step_to(k, FORWARD),
@@ -418,7 +415,6 @@ def test_with_jitter_of_the_rig_relative_poses_are_consistent(knows: bool) -> No
                 window = replace(window, jitter_cov=cov)
             window = by.with_features(
                 window,
-                curr.index,
                 tracks,
                 noise_of(len(tracks)),
                 two_frames=step_to(curr.index, FORWARD),
@@ -563,7 +559,7 @@ def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
     np.testing.assert_allclose(found, cov, rtol=1e-6, atol=1e-12)
     tracks = tracks_between(frames[4], frames[5])
     noise = noise_of(len(tracks))
-    window = by.with_features(window, 5, tracks, noise, two_frames=step_to(5, FORWARD))
+    window = by.with_features(window, tracks, noise, two_frames=step_to(5, FORWARD))
     _, over_gap = window.relative(window.slot(5), window.slot(3))
     assert (np.diag(over_gap) > np.diag(cov) * 0.9).all()
 
@@ -587,7 +583,6 @@ def test_a_place_that_is_lost_by_rounding_leaves_the_motions_known() -> None:
         tracks = tracks_between(frames[8], frames[9])
         with_features = by.with_features(
             replace(window, prior=prior),
-            9,
             tracks,
             noise_of(len(tracks)),
             two_frames=step_to(9, FORWARD),
@@ -618,7 +613,7 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     window = windows_of(frames[:3], by)[-1]
     tracks = tracks_between(frames[2], frames[3]).subset(np.arange(2))
     two_frames = step_to(3, FORWARD)
-    window = by.with_features(window, 3, tracks, noise_of(2), two_frames=two_frames)
+    window = by.with_features(window, tracks, noise_of(2), two_frames=two_frames)
     T, cov = window.relative(3, 2)
     np.testing.assert_allclose(T, FORWARD, atol=1e-9)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
@@ -644,7 +639,7 @@ def test_a_bias_adds_up_along_a_track() -> None:
         )
         noise = replace(noise_of(len(tracks)), bias=np.tile(bias_px, (len(tracks), 1)))
         two_frames = step_to(curr.index, FORWARD)
-        found = by.with_features(found, curr.index, drifting, noise, two_frames=two_frames)
+        found = by.with_features(found, drifting, noise, two_frames=two_frames)
     np.testing.assert_allclose(found.T_cam_world, expected.T_cam_world, atol=1e-9)
     np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-6, atol=1e-12)
 
@@ -659,14 +654,14 @@ def test_what_two_frames_have_measured_counts_once_where_they_stand_for_the_feat
     two_frames = step_to(3, FORWARD)
     of_motion = RelativePose(FORWARD, 1e-4 * np.eye(6), pose_of(3), pose_of(2))
     window = by.with_features(
-        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion]
+        before, tracks, singular, two_frames=two_frames, measurements=[of_motion]
     )
     _, cov = window.relative(3, 2)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
     there = FORWARD @ before.T_cam_world[-1]
     of_pose = PosePrior(pose_of(3), there, 1e-4 * np.eye(6))
     window = by.with_features(
-        before, 3, tracks, singular, two_frames=two_frames, measurements=[of_motion, of_pose]
+        before, tracks, singular, two_frames=two_frames, measurements=[of_motion, of_pose]
     )
     assert (np.diag(window.pose(-1).cov) < 1.1e-4).all()
 
@@ -684,7 +679,7 @@ def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
     scale = noise.scale.copy()
     scale[5, 3, 3] = variance_px2
     two_frames = step_to(2, FORWARD)
-    window = by.with_features(window, 2, tracks, replace(noise, scale=scale), two_frames=two_frames)
+    window = by.with_features(window, tracks, replace(noise, scale=scale), two_frames=two_frames)
     T, cov = window.relative(2, 1)
     np.testing.assert_allclose(T, FORWARD, atol=1e-9)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
@@ -882,9 +877,7 @@ def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
         tracks = tracks_between(prev, curr)
         two_frames = step_to(curr.index, FORWARD)
         windows.append(
-            by.with_features(
-                windows[-1], curr.index, tracks, noise_of(len(tracks)), two_frames=two_frames
-            )
+            by.with_features(windows[-1], tracks, noise_of(len(tracks)), two_frames=two_frames)
         )
     motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=0)
     for before, after in pairwise(windows[1:]):

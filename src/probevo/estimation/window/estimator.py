@@ -36,6 +36,7 @@ from probevo.camera.transfer_numba import Intrinsics
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.equations import (
@@ -75,7 +76,8 @@ from probevo.estimation.window.normal_equations_numba import (
 )
 from probevo.estimation.window.window import MarginalPrior, Window, merged, selected
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement
+from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
@@ -104,14 +106,14 @@ MIN_VARIANCE_PX2 = 1e-12
 
 
 @dataclass(frozen=True)
-class FoundAgain:
-    """The motion from the last frame before dead reckoning, by features that are found again."""
+class SolvedTracks:
+    """The solve of tracks from a frame of the window to a new one."""
 
-    frame: int
-    """Index of that frame."""
+    prev: int
+    """Index of the frame where they start."""
     solved: CalibratedMotion
-    noise_factor: float
-    """Factor of the variance of these tracks, which span several frames."""
+    noise_factor: float = 1.0
+    """Factor of the variance of tracks that span several frames."""
 
 
 @dataclass(frozen=True)
@@ -147,13 +149,13 @@ class WindowEstimator:
     def with_step(
         self,
         window: Window,
-        solved: CalibratedMotion,
+        step: SolvedTracks,
         motion: RelativePose,
         *,
-        noise_factor: float = 1.0,
+        velocity: ConstantVelocity | None = None,
         shares: Shares | None = None,
         measurements: Sequence[Measurement] = (),
-        found_again: FoundAgain | None = None,
+        found_again: SolvedTracks | None = None,
     ) -> Window:
         """Return the window after a step, starting from the motion that two frames have shown.
 
@@ -163,20 +165,30 @@ class WindowEstimator:
 
         Args:
             window: K frames.
-            solved: the solve of the tracks between a frame of the window and the new one.
-            motion: the motion between these two frames, corrected if there is a correction.
-            noise_factor: of the variance of the tracks.
+            step: the tracks from one of them to the new one.
+            motion: the motion between these two frames, corrected if there is a correction; a
+                dead-reckoned one may start at an earlier frame.
+            velocity: that the velocity is that of the step before; it counts where the features
+                leave a direction of the motion open.
             shares: how the features and their corrected motion share the information of their
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
-            found_again: the solve of features that an earlier frame saw before dead reckoning; None
+            found_again: tracks from the last frame before dead reckoning, which see it again; None
                 if there are none.
         """
         # Without an accepted solve there is no noise of the features to count them with.
+        solved = step.solved
         visual = solved.visual
         frame = motion.curr.frame
-        features = self._features_of(solved, noise_factor)
-        if features is None:
+        features = self._features_of(step)
+        two_frames = visual.two_frames_only
+        if visual.is_weak and features and two_frames and velocity and shares is None:
+            weak = self._with_weak_features(
+                window, *features, two_frames, velocity=velocity, measurements=measurements
+            )
+            if weak is not None:
+                return weak
+        if visual.status is not Status.OK or features is None:
             return self.without_features(window, frame, motion, measurements)
         tracks, noise = features
         if shares is not None:
@@ -185,7 +197,6 @@ class WindowEstimator:
             window = replace(window, jitter_cov=solved.jitter_cov)
         after = self.with_features(
             inertial_steps.with_inflated_factor_if_refuted(window, motion),
-            frame,
             tracks,
             noise,
             two_frames=motion,
@@ -204,17 +215,16 @@ class WindowEstimator:
         )
         return replace(after, distortion=distortion)
 
-    def _features_of(
-        self, solved: CalibratedMotion, noise_factor: float
-    ) -> tuple[Tracks, StereoNoise] | None:
-        """Return the tracks of an accepted solve as the window takes them, and their noise, with
-        variances times a factor; None without one."""
+    def _features_of(self, step: SolvedTracks) -> tuple[Tracks, StereoNoise] | None:
+        """Return the tracks of a solve as the window takes them, and their noise; None without a
+        solve that may be trusted."""
+        solved = step.solved
         visual = solved.visual
-        if visual.status is not Status.OK or visual.noise is None:
+        if not (visual.status is Status.OK or visual.is_weak) or visual.noise is None:
             return None
         noise = visual.noise
-        if noise_factor != 1.0:
-            noise = noise.scaled(np.full(len(noise.scale), noise_factor))
+        if step.noise_factor != 1.0:
+            noise = noise.scaled(np.full(len(noise.scale), step.noise_factor))
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
         rig = solved.corrected.rig
         tracks = solved.corrected.simultaneous.subset(visual.used)
@@ -225,14 +235,13 @@ class WindowEstimator:
     def with_features(
         self,
         window: Window,
-        frame: int,
         tracks: Tracks,
         noise: StereoNoise,
         *,
         two_frames: RelativePose,
         measurements: Sequence[Measurement] = (),
         motion_factor: float | None = None,
-        found_again: FoundAgain | None = None,
+        found_again: SolvedTracks | None = None,
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
 
@@ -241,7 +250,6 @@ class WindowEstimator:
 
         Args:
             window: K frames.
-            frame: index of the new one.
             tracks: N tracks between a frame of the window and the new one; corrected by the rig's
                 calibration, but not for b.
             noise: of these N tracks.
@@ -250,9 +258,10 @@ class WindowEstimator:
                 entered the solve of two frames.
             motion_factor: factor of the covariance with which ``two_frames`` counts beside the
                 features; None if it does not.
-            found_again: the solve of features that an earlier frame saw; they count beside these.
+            found_again: tracks from an earlier frame to the new one, which count beside these.
         """
         prev = window.slot(two_frames.variables[0].frame)
+        frame = two_frames.curr.frame
         try:
             extended = self.with_frame(
                 window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
@@ -275,6 +284,51 @@ class WindowEstimator:
         if motion_factor is not None:
             others.append(two_frames)
         return self.without_features(window, frame, two_frames, others, in_motion=of_motion)
+
+    def _with_weak_features(
+        self,
+        window: Window,
+        tracks: Tracks,
+        noise: StereoNoise,
+        two_frames: ReprojectionSolution,
+        *,
+        velocity: ConstantVelocity,
+        measurements: Sequence[Measurement],
+    ) -> Window | None:
+        """Return the window with one more frame, whose features leave a direction of its motion
+        open, as far ones do; there, the velocity of the step before counts.
+
+        Args:
+            window: K frames.
+            tracks: N tracks from the frame before the new one, as of ``with_features``.
+            noise: of these N tracks.
+            two_frames: the motion that these tracks show by themselves.
+            velocity: that it is the same as in the step before.
+            measurements: further measurements of the poses of the window.
+
+        Returns:
+            None where all that does not fix the motion either.
+        """
+        # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
+        # velocity alone so far off in all others that they look like outliers.
+        values = dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
+        expected = velocity.expected(values)
+        difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
+        both = two_frames.hessian + np.linalg.inv(velocity.covariance)
+        step = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
+        T_curr_prev = se3.exp(step) @ expected
+        prev = window.slot(velocity.prev.frame)
+        frame = velocity.curr.frame
+        try:
+            extended = self.with_frame(window, frame, T_curr_prev, tracks, noise, prev=prev)
+            counted = list(measurements)
+            if not extended.inertial.bridges_newest:
+                counted.append(velocity)
+            adjusted = self.adjusted(with_measurements(extended, counted))
+        except np.linalg.LinAlgError:
+            return None
+        _, cov = adjusted.relative(len(adjusted) - 1, prev)
+        return self._shortened(adjusted) if np.isfinite(cov).all() else None
 
     def without_features(
         self,
@@ -489,22 +543,21 @@ class WindowEstimator:
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
         )
 
-    def _with_found_again(self, window: Window, found: FoundAgain, tracks: Tracks) -> Window:
+    def _with_found_again(self, window: Window, found: SolvedTracks, tracks: Tracks) -> Window:
         """Return the window with features in its newest frame that an earlier one saw.
 
         Args:
             window: K frames.
-            found: the solve of these features.
-            tracks: those that connect the newest frame with the one before; a feature that is one
-                of them counts only once.
+            found: their tracks from that frame.
+            tracks: those from the frame before; a feature that is among them counts only once.
         """
-        features = self._features_of(found.solved, found.noise_factor)
+        features = self._features_of(found)
         if features is None:
             return window
-        of_frame, noise = features
-        others = np.flatnonzero(~np.isin(of_frame.ids, tracks.ids))
+        found_tracks, noise = features
+        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
         return self._with_tracks(
-            window, of_frame.subset(others), noise.subset(others), prev=window.slot(found.frame)
+            window, found_tracks.subset(others), noise.subset(others), prev=window.slot(found.prev)
         )
 
     def adjusted(self, window: Window) -> Window:

@@ -1,0 +1,131 @@
+"""Steps whose features are all far away: they show the rotation, and hardly how far the camera has
+moved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from intervals import chi2_interval
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.estimation.motion_estimate import Status
+from probevo.geometry import se3
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import numeric_jacobians, pose_of
+from probevo.measurements.constant_velocity import ConstantVelocity
+from probevo.sequences.frame import Frame, StereoFeatures
+from worlds import CAMERA, FORWARD, drive
+
+FRAMES = 14
+WEAK = (7, 8)
+"""Frames that see nothing near."""
+OTHERS = 10**6
+"""Added to the identities of features, so that two drives can be one."""
+
+
+def drive_past_a_void(
+    rng: np.random.Generator, weak: tuple[int, ...] = WEAK
+) -> tuple[list[Frame], FloatArray]:
+    """A drive whose speed wanders, past a place where nothing is near, and its true motions."""
+    changes = rng.normal(size=(FRAMES, 6)) * np.repeat([0.01, 0.001], 3)
+    true = np.array([se3.exp(change) @ FORWARD for change in np.cumsum(changes, axis=0)])
+    near = drive(rng, FRAMES, true, points=100)
+    far = drive(rng, FRAMES, true, points=25, depth_m=(400.0, 1500.0))
+    frames = []
+    for seen_near, seen_far in zip(near, far, strict=True):
+        of_near, of_far = seen_near.features, seen_far.features
+        assert of_near is not None
+        assert of_far is not None
+        ids = of_far.ids + OTHERS
+        pixels = of_far.pixels
+        if seen_near.index not in weak:
+            # Behind the void, the near points are others.
+            near_ids = of_near.ids + 2 * OTHERS * (seen_near.index > weak[-1])
+            ids = np.concatenate([near_ids, ids])
+            pixels = np.vstack([of_near.pixels, pixels])
+        frames.append(replace(seen_near, features=StereoFeatures(ids, pixels)))
+    return frames, true[1:]
+
+
+def test_the_rotation_of_far_features_counts_and_the_claim_holds() -> None:
+    """Of 20 drives; the pose at the end, and the steps without near features."""
+    of_pose = []
+    of_step = []
+    num_weak = 0
+    for seed in range(20):
+        frames, true = drive_past_a_void(np.random.default_rng(seed))
+        odometry = pv.StereoOdometry(CAMERA)
+        T_world_cam = np.eye(4)
+        for frame in frames:
+            motion = odometry.step(frame)
+            if frame.index == 0:
+                continue
+            T_curr_prev = true[frame.index - 1]
+            T_world_cam = T_world_cam @ se3.inverse(T_curr_prev)
+            if motion.status is Status.DEGENERATE:
+                num_weak += 1
+                of_step.append(
+                    normalized_error_squared(T_curr_prev, motion.T_curr_prev, motion.cov)
+                )
+        of_pose.append(
+            normalized_error_squared(
+                se3.inverse(T_world_cam), se3.inverse(motion.T_world_cam), motion.pose_cov
+            )
+        )
+        # Dead reckoning alone leaves 0.02 rad for each step.
+        assert np.sqrt(np.diagonal(motion.pose_cov)[3:]).max() < 0.002
+    assert num_weak > 20
+    _, high = chi2_interval(6, len(of_pose))
+    assert np.mean(of_pose) < high
+    assert np.mean(of_step) < high
+
+
+def test_features_that_contradict_the_prediction_do_not_count() -> None:
+    """As those of a vehicle that turns: the step is dead-reckoned, and the frame blind."""
+    frames, _ = drive_past_a_void(np.random.default_rng(0), weak=(7,))
+    features = frames[7].features
+    assert features is not None
+    turned = features.pixels + np.array([300.0, 0.0, 300.0, 0.0])
+    frames[7] = replace(frames[7], features=StereoFeatures(features.ids, turned))
+    odometry = pv.StereoOdometry(CAMERA)
+    for frame in frames[:8]:
+        motion = odometry.step(frame)
+    assert motion.status is not Status.OK
+    assert odometry.window is not None
+    assert odometry.window.is_blind[-1]
+
+
+def test_a_step_with_the_same_velocity_has_no_residual() -> None:
+    before, prev, curr = (pose_of(k) for k in range(3))
+    velocity = ConstantVelocity(before, prev, curr, duration_ratio=2.0, covariance=np.eye(6))
+    T_prev_world = FORWARD
+    values = {before: np.eye(4), prev: T_prev_world, curr: FORWARD @ FORWARD @ T_prev_world}
+    np.testing.assert_allclose(velocity.expected(values), FORWARD @ FORWARD, atol=1e-12)
+    np.testing.assert_allclose(velocity.residual(values), 0.0, atol=1e-12)
+    # Half a metre more than expected
+    more = se3.exp(np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0]))
+    values[curr] = more @ values[curr]
+    np.testing.assert_allclose(velocity.residual(values), -se3.log(more), atol=1e-12)
+
+
+def test_a_constant_velocity_says_nothing_of_where_the_world_is() -> None:
+    """The gauge: moving all three poses by the same motion of the world leaves the residual."""
+    variables = tuple(pose_of(k) for k in range(3))
+    velocity = ConstantVelocity(*variables, duration_ratio=1.3, covariance=np.eye(6))
+    rng = np.random.default_rng(0)
+    values = {one: se3.exp(0.3 * rng.normal(size=6)) for one in variables}
+    # T_cam_world → T_cam_world Exp(ζ) is the left perturbation Ad(T_cam_world) ζ of each pose.
+    jacobians = numeric_jacobians(velocity, values)
+    of_world = sum(
+        jacobian @ se3.adjoint(values[one])
+        for jacobian, one in zip(jacobians, variables, strict=True)
+    )
+    np.testing.assert_allclose(of_world, 0.0, atol=1e-6)
+
+
+def test_a_covariance_of_another_size_is_refused() -> None:
+    variables = tuple(pose_of(k) for k in range(3))
+    with pytest.raises(InputError, match="covariance"):
+        ConstantVelocity(*variables, duration_ratio=1.0, covariance=np.eye(3))
