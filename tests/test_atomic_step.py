@@ -302,9 +302,11 @@ STAGES = {
     "window's new frame": Stage(
         "probevo.estimation.window.estimator:WindowEstimator", "with_frame"
     ),
-    "window's adjustment": Stage("probevo.estimation.window.estimator:WindowEstimator", "adjusted"),
+    "window's adjustment": Stage(
+        "probevo.estimation.window.adjustment:WindowAdjustment", "adjusted"
+    ),
     "marginalisation": Stage(
-        "probevo.estimation.window.estimator:WindowEstimator", "without_oldest", first=3
+        "probevo.estimation.window.adjustment:WindowAdjustment", "without_oldest", first=3
     ),
     "live motion": Stage("probevo.odometry", "live_motion"),
     "observation store": Stage(

@@ -209,13 +209,13 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
         window = by.with_frame(sampled, curr.index, motion, tracks, predicted_noise)
         window = with_states_if_consistent(adjusted_without_gauge(by, window))
         if len(window) > 7:
-            window = by.without_oldest(window)
+            window = by.adjustment.without_oldest(window)
     assert window.frames[0] >= 60
     states = states_of(window)
     system = system_of(window)
     assert system is not None
     joint = system.hessian.copy()
-    of_images = by._system(replace(window, inertial=Inertial.none())).equations.hessian
+    of_images = by.adjustment._system(replace(window, inertial=Inertial.none())).equations.hessian
     joint[: len(of_images), : len(of_images)] += of_images
     # In units in which each variable has the same information: they differ by 1e9 otherwise.
     unit = np.sqrt(np.diagonal(joint))
@@ -251,7 +251,7 @@ def adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
         vector=prior.vector + held @ window.offsets(),
     )
     for _ in range(2):
-        window = by.adjusted(replace(window, prior=with_gauge))
+        window = by.adjustment.adjusted(replace(window, prior=with_gauge))
     return replace(window, prior=prior)
 
 

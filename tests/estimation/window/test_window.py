@@ -14,6 +14,7 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.window.adjustment import WindowAdjustment
 from probevo.estimation.window.equations import JITTER, LENS, POSE, RIG
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.further_measurements import with_measurements
@@ -186,7 +187,7 @@ def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> 
         jitter=np.zeros((5, JITTER)),
         jitter_cov=JITTER_SIGMA_RAD**2 * np.diag([0.25, 1.0, 0.5]),
     )
-    system = by._system(window)
+    system = by.adjustment._system(window)
     count = POSE * 4 + RIG + 4 * len(window.ids)
 
     def residuals(x: FloatArray) -> FloatArray:
@@ -226,7 +227,7 @@ def test_a_window_as_long_as_the_drive_is_batch_adjustment(
     by = estimator(frames=8, correlation=correlation)
     window = windows_of(frames, by, tau_px=tau_px)[-1]
     for _ in range(6):  # on line, it stops at a fraction of a standard deviation
-        window = by.adjusted(window)
+        window = by.adjustment.adjusted(window)
     solved, cov = batch(window, correlation)
     difference = se3.log(solved.T_cam_world @ se3.inverse(window.T_cam_world))
     assert np.abs(difference).max() < 1e-6
@@ -278,11 +279,11 @@ def test_the_window_gains_no_information_about_where_it_is() -> None:
         extended = by.with_frame(window, curr.index, guess, tracks, noise_of(len(tracks)))
         adjusted = _adjusted_without_gauge(by, extended)
         before = before or (adjusted if len(adjusted) == 6 else None)
-        window = by.without_oldest(adjusted) if len(adjusted) > 6 else adjusted
+        window = by.adjustment.without_oldest(adjusted) if len(adjusted) > 6 else adjusted
     assert before is not None
     assert window.frames[0] > 200
     for each in (before, window):
-        hessian = by._system(each).equations.hessian[:-RIG, :-RIG]
+        hessian = by.adjustment._system(each).equations.hessian[:-RIG, :-RIG]
         directions = se3.adjoint(each.T_linear).reshape(-1, POSE)
         random = np.random.default_rng(56).normal(size=(len(directions), 20))
         along_random = np.einsum("in,ij,jn->n", random, hessian, random)
@@ -374,7 +375,7 @@ def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
     with_gauge = replace(
         prior, information=prior.information + held, vector=prior.vector + held @ x
     )
-    adjusted = by.adjusted(replace(window, prior=with_gauge))
+    adjusted = by.adjustment.adjusted(replace(window, prior=with_gauge))
     return replace(adjusted, prior=prior)
 
 
@@ -600,7 +601,7 @@ def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
     window = windows_of(frames, by)[-1]
     moved = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])) @ window.T_cam_world[-1]
     at_end = PosePrior(pose_of(3), moved, 1e-12 * np.eye(6))
-    adjusted = by.adjusted(with_measurements(window, [at_end]))
+    adjusted = by.adjustment.adjusted(with_measurements(window, [at_end]))
     error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
     assert np.abs(error).max() < 1e-3
     assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()
@@ -699,13 +700,13 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
         scale = factors @ factors.mT + 0.01 * np.eye(4)
         noise = replace(noise_of(len(tracks)), scale=scale)
         window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
-        assert np.linalg.eigvalsh(by._system(window).equations.hessian)[0] > 0.0
-        window = by.adjusted(window)
+        assert np.linalg.eigvalsh(by.adjustment._system(window).equations.hessian)[0] > 0.0
+        window = by.adjustment.adjusted(window)
 
 
 def with_standing_factors(window: Window, by: WindowEstimator) -> FloatArray:
     """Return how far each landmark is trusted to stand still, [L]."""
-    return by._with_static_weights(window).landmarks.static_weight
+    return by.adjustment._with_static_weights(window).landmarks.static_weight
 
 
 def squared_along_velocity(window: Window, row: int, correlation: float) -> tuple[float, float]:
@@ -783,7 +784,9 @@ def test_what_moves_slowly_does_not_lead_the_window() -> None:
         for tests in (True, False):
             with pytest.MonkeyPatch.context() as patch:
                 if not tests:
-                    patch.setattr(WindowEstimator, "_with_static_weights", lambda _, window: window)
+                    patch.setattr(
+                        WindowAdjustment, "_with_static_weights", lambda _, window: window
+                    )
                 window = windows_of(frames, by, dof=4.0)[-1]
             T, _ = window.relative(8, 0)
             error = motion_error(T, np.linalg.matrix_power(FORWARD, 8))
@@ -837,7 +840,7 @@ def test_landmarks_of_one_age_still_connect_the_last_frames() -> None:
     by = estimator(frames=4)
     for window in windows_of(frames, by, guess=slow)[1:]:
         assert np.isin(window.ids, ids).mean() > 0.8
-        hessian = by._system(window).equations.hessian[:-RIG, :-RIG]
+        hessian = by.adjustment._system(window).equations.hessian[:-RIG, :-RIG]
         cov = np.linalg.inv(hessian)
         assert np.linalg.eigvalsh(cov)[0] > 0.0
         assert np.sqrt(np.diag(cov)[-POSE:]).max() < 0.1
@@ -852,8 +855,8 @@ def test_landmarks_settle_however_well_or_badly_they_fit() -> None:
     assert np.diff(window.observations.start).min() == 1
     for _ in range(60):
         before = window.landmarks.state
-        system = by._system(window)
-        window = by._incremented(system, np.zeros(len(system.equations.gradient)))
+        system = by.adjustment._system(window)
+        window = by.adjustment._incremented(system, np.zeros(len(system.equations.gradient)))
     assert np.abs(window.landmarks.state - before).max() < 1e-3
 
 
@@ -872,7 +875,7 @@ def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
     windows = windows_of(frames[:9], by)
     lost = 1e-9 * windows[-1].prior.information
     prior = MarginalPrior(lost, np.zeros(len(lost)))
-    windows = [by.adjusted(replace(windows[-1], prior=prior))]
+    windows = [by.adjustment.adjusted(replace(windows[-1], prior=prior))]
     for prev, curr in pairwise(frames[8:]):
         tracks = tracks_between(prev, curr)
         two_frames = step_to(curr.index, FORWARD)
@@ -916,8 +919,8 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     np.testing.assert_array_equal(found.is_blind, [False, False, False, False, True, False])
     np.testing.assert_array_equal(found.frames, [0, 1, 2, 3, 4, 5])
     kept = np.delete(np.arange(6 * POSE + RIG), np.arange(4 * POSE, 5 * POSE))
-    wanted = by._system(expected).equations
-    equations = by._system(found).equations
+    wanted = by.adjustment._system(expected).equations
+    equations = by.adjustment._system(found).equations
     scale = np.abs(wanted.hessian).max()
     np.testing.assert_allclose(
         equations.hessian[np.ix_(kept, kept)], wanted.hessian, rtol=1e-9, atol=1e-12 * scale
@@ -925,7 +928,7 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     np.testing.assert_allclose(equations.gradient[kept], wanted.gradient, rtol=1e-6, atol=1e-6)
     assert np.abs(equations.hessian[4 * POSE : 5 * POSE]).max() == 0.0
     # Marginalised, it takes along what measured nothing but itself.
-    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)]))
+    measured = by.adjustment.adjusted(with_measurements(found, [step_to(4, FORWARD)]))
     without = without_blind(measured, found.is_blind)
     attached = np.arange(3 * POSE, 4 * POSE)  # to frame 3, of which no other prior speaks
     assert np.abs(measured.prior.information[np.ix_(attached, attached)]).max() > 10.0

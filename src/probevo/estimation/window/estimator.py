@@ -1,20 +1,9 @@
-"""Bundle adjustment of a sliding window, and marginalisation of what leaves it.
+"""A step of the sliding window: which measurements connect the new frame with the others, and what
+leaves the window.
 
-Given observations y, the window estimates poses and landmarks x and the errors b of the rig, of its
-disparities and lenses. It maximises
-
-    log p(x | b, y) + (1/c) log p(y | b) + log p(b).
-
-The errors of neighbouring features are correlated, and consecutive frames repeat them, hence the
-tempering of the likelihood of b by 1/c (``CORRELATED_FEATURES``). The information of p(y | b) is
-the Schur complement of x in the normal equations. Each solve divides it by c. The marginal prior
-stores it undivided, so that nothing is tempered twice.
-
-The jitter of the rig in each frame, ω_k ~ N(0, S), is eliminated from the normal equations once all
-landmarks are. When landmarks leave the window, they take what they say of it along, so that the
-prior and the landmarks that remain each have a jitter of their own for one and the same frame. If
-G groups of landmarks say the same with variances G S, together they say it with S: those that leave
-do so with G S.
+Its features do, or the dead-reckoned motion, an IMU and other sensors where the images show
+nothing, or both where they show a part of the motion. ``window.adjustment`` then adjusts all
+frames.
 """
 
 from __future__ import annotations
@@ -24,57 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray, rows_of
-from probevo.camera.image_errors import DISPARITY_SIGMA_PX
-from probevo.camera.rig_calibration import (
-    CONSTANT_SIGMA_PX,
-    CORRELATED_FEATURES,
-    disparity_basis,
-)
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer_numba import Intrinsics
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
-from probevo.estimation.window.equations import (
-    FRAME,
-    JITTER,
-    LANDMARK,
-    LENS,
-    POSE,
-    RIG,
-    Elimination,
-    RobustNoise,
-    WindowEquations,
-    WindowGeometry,
-    WindowLandmarks,
-    WindowObservations,
-)
+from probevo.estimation.window.adjustment import WindowAdjustment
 from probevo.estimation.window.further_measurements import tested_against, with_measurements
-from probevo.estimation.window.inertial import Inertial
-from probevo.estimation.window.inertial_equations import InertialSystem
-from probevo.estimation.window.jitter_elimination import (
-    JitterElimination,
-    eliminate_jitter,
-    jitter_columns,
-)
-from probevo.estimation.window.marginalization import (
-    kept_positive,
-    pose_covariance,
-    with_pose,
-    without_blind,
-    without_poses,
-)
-from probevo.estimation.window.normal_equations_numba import (
-    accumulate,
-    fill_roots,
-    move_landmarks,
-    static_weights,
-)
-from probevo.estimation.window.window import MarginalPrior, Window, merged, selected
+from probevo.estimation.window.marginalization import without_blind
+from probevo.estimation.window.new_frame import with_new_pose, with_tracks
+from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.constant_velocity import ConstantVelocity
@@ -83,26 +34,10 @@ from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
-LENS_SIGMA = 0.02
-"""Prior standard deviation of k₁: what is seen 45° from the axis moves by 2 % of the focal
-length."""
-RIG_SIGMA = np.array([CONSTANT_SIGMA_PX, *DISPARITY_SIGMA_PX, LENS_SIGMA])
-"""Prior standard deviation of b₀, b₁ and b₂, px, and k₁."""
-FLAWLESS = 1e-6
-"""Factor of these standard deviations without self-calibration: a rig that is taken as calibrated
-has the same states, which the prior holds at zero."""
-CONVERGED_BELOW = 0.1
-"""A step after which further ones would lower the cost by less than this, in nats, is the last."""
-MIN_DAMPING = 1e-4
-"""Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
-COST_TOLERANCE = 1.0
-"""Nats by which a step may raise the cost."""
 MAX_UNKNOWN = np.repeat([1e3, 2.0], 3)
 """Largest standard deviation of a measured motion, m and rad: a kilometre, and that of an angle of
 which nothing is known (π/√3). Beside features that know the motions between other frames to 0.1 mm,
 rounding would lose what is less certain."""
-MIN_VARIANCE_PX2 = 1e-12
-"""Variance of a time-correlated disparity error in a noise model that knows none."""
 
 
 @dataclass(frozen=True)
@@ -114,18 +49,6 @@ class SolvedTracks:
     solved: CalibratedMotion
     noise_factor: float = 1.0
     """Factor of the variance of tracks that span several frames."""
-
-
-@dataclass(frozen=True)
-class _System:
-    """The normal equations of a window at its current values."""
-
-    window: Window
-    cost: float
-    equations: WindowEquations
-    elimination: Elimination
-    jitter: JitterElimination
-    inertial: InertialSystem | None
 
 
 class WindowEstimator:
@@ -141,10 +64,7 @@ class WindowEstimator:
         self._config = config.window
         self._solver = config.solver
         self._loss = RobustLoss.named(config.solver.loss)
-        self._noise = RobustNoise(loss=int(self._loss.kind), correlation=config.window.correlation)
-        rig_sigma = RIG_SIGMA if config.self_calibration else FLAWLESS * RIG_SIGMA
-        self._rig_information = np.diag(rig_sigma**-2.0)
-        self._intrinsics = Intrinsics.of(camera)
+        self.adjustment = WindowAdjustment(camera, config)
 
     def with_step(
         self,
@@ -271,7 +191,7 @@ class WindowEstimator:
             counted = list(measurements)
             if motion_factor is not None:
                 counted.append(two_frames.scaled(motion_factor))
-            adjusted = self.adjusted(with_measurements(extended, counted))
+            adjusted = self.adjustment.adjusted(with_measurements(extended, counted))
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
@@ -324,7 +244,7 @@ class WindowEstimator:
             counted = list(measurements)
             if not extended.inertial.bridges_newest:
                 counted.append(velocity)
-            adjusted = self.adjusted(with_measurements(extended, counted))
+            adjusted = self.adjustment.adjusted(with_measurements(extended, counted))
         except np.linalg.LinAlgError:
             return None
         _, cov = adjusted.relative(len(adjusted) - 1, prev)
@@ -367,7 +287,7 @@ class WindowEstimator:
                 measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
-            adjusted = self.adjusted(measured)
+            adjusted = self.adjustment.adjusted(measured)
             if np.isfinite(adjusted.cov).all() or not window.inertial.is_used:
                 return self._shortened(adjusted)
         except np.linalg.LinAlgError:
@@ -383,7 +303,7 @@ class WindowEstimator:
         if not started.inertial.is_used or window.inertial.is_used:
             return started
         try:
-            return self.adjusted(started)
+            return self.adjustment.adjusted(started)
         except np.linalg.LinAlgError:
             return inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
 
@@ -427,7 +347,7 @@ class WindowEstimator:
             window = without_blind(window, leaving)
             limit += int(window.is_blind.sum())
         while len(window) > limit:  # one, or more once a blind frame has features after all
-            window = self.without_oldest(window)
+            window = self.adjustment.without_oldest(window)
         return window
 
     def with_frame(
@@ -442,10 +362,6 @@ class WindowEstimator:
     ) -> Window:
         """Return the window with one more frame, which is not yet adjusted.
 
-        A track whose landmark the previous frame saw last adds an observation to it; any other
-        begins a landmark with both of its observations. Noise that refers to residuals is halved:
-        it is that of two observations.
-
         Args:
             window: K frames.
             frame: index of the new one.
@@ -457,90 +373,19 @@ class WindowEstimator:
                 blind.
         """
         prev %= len(window)
-        # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
-        # so that the pose may still be linearised anew (``_incremented``).
-        T_new = T_curr_prev @ window.T_cam_world[prev]
-        extended = replace(
-            window,
-            inertial=window.inertial.with_new_frame(),
-            frames=np.append(window.frames, frame),
-            T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
-            T_linear=np.concatenate([window.T_linear, T_new[None]]),
-            is_blind=np.append(window.is_blind, True),
-            distortion=window.distortion.carried_to_new(prev, T_curr_prev),
-            jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
-            prior=with_pose(window.prior),
-        )
+        extended = with_new_pose(window, frame, T_curr_prev, prev=prev)
         return self._with_tracks(extended, tracks, noise, prev=prev)
 
     def _with_tracks(
         self, window: Window, tracks: Tracks, noise: StereoNoise, *, prev: int
     ) -> Window:
-        """Return the window with observations of its newest frame; see ``with_frame``.
-
-        Args:
-            window: K frames.
-            tracks: N tracks from one of them to the newest.
-            noise: of these N tracks.
-            prev: slot of the frame where they start.
-        """
-        if not len(tracks):
-            return window
-        newest = len(window) - 1
-        # The landmark of each track; new ones are numbered behind those of the window.
-        rows = _rows_of(window, tracks.ids, prev)
-        is_new = rows < 0
-        rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
-        if noise.refers_to == "residual":
-            noise = noise.scaled(np.full(len(tracks), 0.5))
-        prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
-        parameters = self._loss.parameters(noise.dof)
-        # Observations: all in the new frame, and those of new landmarks in the frame before, too,
-        # which is their anchor.
-        first_px = tracks.prev_px[is_new]
-        # Each observation counts with the noise at its own time.
-        scale = np.concatenate([prev_scale[is_new], noise.scale])
-        # A bias is the mean of a step's residual: an observation has those of all steps since the
-        # first of its track in its error.
-        bias = np.concatenate([window.landmarks.bias, np.zeros_like(first_px)])
-        bias[rows] += noise.bias
-        root = np.zeros_like(scale)
-        if not fill_roots(scale, root):
-            raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
-        new = WindowObservations(
-            start=np.zeros(0, np.int64),
-            slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), newest)]),
-            pixels=np.concatenate([first_px, tracks.curr_px - bias[rows]]),
-            root=root,
-            loss_parameter=np.concatenate([parameters[is_new], parameters]),
-        )
-        # Landmarks: the new ones as their first observation shows them, with the prior of δ, whose
-        # information is 1/τ².
-        variance = np.zeros(len(tracks))
-        if noise.time_correlated is not None:
-            variance = noise.time_correlated
-        landmarks = WindowLandmarks(
-            state=np.concatenate(
-                [window.landmarks.state, self._first_states(first_px, window.rig)]
-            ),
-            error_information=np.concatenate(
-                [
-                    window.landmarks.error_information,
-                    1.0 / np.maximum(variance[is_new], MIN_VARIANCE_PX2),
-                ]
-            ),
-            static_weight=np.concatenate([window.landmarks.static_weight, np.ones(len(first_px))]),
-            bias=bias,
-        )
-        # A frame that was dead-reckoned is no longer blind where features are found again.
-        is_blind = window.is_blind.copy()
-        is_blind[[prev, newest]] = False
-        return replace(
+        return with_tracks(
             window,
-            is_blind=is_blind,
-            ids=np.concatenate([window.ids, tracks.ids[is_new]]),
-            landmarks=landmarks,
-            observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
+            tracks,
+            noise,
+            prev=prev,
+            camera=self._camera,
+            loss=self._loss,
         )
 
     def _with_found_again(self, window: Window, found: SolvedTracks, tracks: Tracks) -> Window:
@@ -560,290 +405,6 @@ class WindowEstimator:
             window, found_tracks.subset(others), noise.subset(others), prev=window.slot(found.prev)
         )
 
-    def adjusted(self, window: Window) -> Window:
-        """Minimise the cost over poses, rig and landmarks by Levenberg–Marquardt, with the Fisher
-        information of the robust loss as the Hessian.
-
-        The increments descend the tempered cost, but are accepted by the untempered one. One may
-        therefore raise that by what its own quadratic model predicts.
-        """
-        # Which landmarks seem to move by themselves is decided before, so that the cost to minimise
-        # is one and the same in all iterations.
-        window = self._with_static_weights(window)
-        # It is plain Gauss–Newton until an increment has raised the cost. ``candidate`` is the
-        # window to return; it is ahead of ``system`` only after the last, small increment.
-        system = self._system(window)
-        candidate = window
-        damping = 0.0
-        prev_decrease = 0.0
-        for _ in range(self._config.max_iterations):
-            increment, decrease = self._increment(system, damping)
-            candidate = self._incremented(system, increment)
-            # Where decreases shrink by a factor from one to the next, those to come add up to this.
-            remaining = decrease
-            if prev_decrease > 0.0:
-                remaining = decrease * min(1.0, decrease / prev_decrease)
-            prev_decrease = decrease
-            if damping == 0.0 and remaining < CONVERGED_BELOW:
-                # Cost and curvature hardly change any more, and need not be formed again.
-                break
-            # Accept, and damp less, or go back, and damp more.
-            candidate_system = self._system(candidate)
-            hessian, gradient = system.equations
-            predicted_rise = max(0.0, float(increment @ (0.5 * hessian @ increment - gradient)))
-            if candidate_system.cost <= system.cost + predicted_rise + COST_TOLERANCE:
-                system = candidate_system
-                damping = 0.1 * damping if damping > MIN_DAMPING else 0.0
-            else:
-                damping = max(MIN_DAMPING, 10.0 * damping)
-                candidate = system.window
-        # The covariance is that of the last equations formed, at most that small increment before.
-        cov, cov_of_motions = self._covariances(system.equations.hessian)
-        of_imu = candidate.inertial.with_covariance(system.inertial, cov)
-        return replace(candidate, cov=cov, cov_of_motions=cov_of_motions, inertial=of_imu)
-
-    def without_oldest(self, window: Window) -> Window:
-        """Return the window without its oldest frame, whose information goes into the prior.
-
-        With the frame go the landmarks that it saw. Those that the last frame still sees begin
-        anew with their last observation, which ends the one landmark and begins the next, as it
-        does in a chain of motions of two frames. Without it, nothing would connect the last two
-        frames where all landmarks are of one age.
-        """
-        observations = window.observations
-        rows = window.landmark_rows
-        # Which landmarks leave, and which of them begin anew.
-        # Landmarks of the oldest frame are anchored in it, and leave with all their observations.
-        is_old = observations.slot[observations.start[:-1]] == 0
-        is_alive = is_old & (window.last_seen == len(window) - 1)
-        is_last = np.zeros(len(rows), np.bool_)
-        is_last[observations.start[1:] - 1] = True
-        begins_anew = is_last & is_alive[rows]  # of which that observation stays, too
-        # G of those that share a frame's jitter: the effective number of ages, (Σ n)²/Σ n². A
-        # frame's observations of one age have the same anchor frame, and so leave at the same time.
-        seen_at_age = np.bincount(window.age, minlength=1)
-        groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
-        # The normal equations of these landmarks and the prior alone, without the IMU, whose first
-        # factor is marginalised with them below.
-        system = self._system(
-            replace(
-                window,
-                observations=selected(observations, is_old[rows]),
-                landmarks=_selected_landmarks(window.landmarks, is_old),
-                jitter_cov=groups * window.jitter_cov,
-                inertial=Inertial.none(),
-            )
-        )
-        # At the offsets x, gradient = η − Λ x of the new prior, so that η = gradient + Λ x. The
-        # system has the old prior in it already.
-        information = system.equations.hessian
-        vector = system.equations.gradient + information @ window.offsets()
-        # With inertial states, pose, velocity and biases of the frame are marginalised in one
-        # block: the IMU's factor correlates them.
-        is_first = np.arange(len(window)) == 0
-        remaining = window.without_frames(is_first)
-        marginalised = inertial_steps.marginalize_first_frame(window, system.equations)
-        if marginalised is None:
-            prior = without_poses(MarginalPrior(information, vector), is_first)
-        else:
-            prior, states = marginalised
-            remaining = replace(remaining, inertial=replace(remaining.inertial, states=states))
-        # The landmarks that begin anew are those of their last observation by itself.
-        state = window.landmarks.state.copy()
-        last_px = observations.pixels[observations.start[1:] - 1]
-        state[is_alive] = self._first_states(last_px[is_alive], window.rig)
-        stays = ~is_old | is_alive
-        kept = selected(observations, ~is_old[rows] | begins_anew)
-        return replace(
-            remaining,
-            prior=kept_positive(prior),
-            ids=window.ids[stays],
-            landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
-            observations=kept._replace(slot=kept.slot - 1),
-        )
-
-    def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:
-        """Return the landmarks that N observations, [N, 4], px, show by themselves, [N, 4]."""
-        camera = self._camera
-        x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-        x_r, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-        # What the lenses move outwards is taken back at the observed place: it is only a start. The
-        # disparity error of the rig is the true one minus the measured one, and added. δ starts at
-        # zero, the mean of its prior.
-        inwards = -rig[LENS] * (x * x + y * y)
-        inwards_r = -rig[LENS] * (x_r * x_r + y * y)
-        states = np.zeros((len(pixels), LANDMARK))
-        states[:, 0] = pixels[:, 0] + camera.fu_px * x * inwards
-        states[:, 1] = pixels[:, 1] + camera.fv_px * y * inwards
-        states[:, 2] = states[:, 0] - (pixels[:, 2] + camera.fu_px * x_r * inwards_r)
-        states[:, 2] += disparity_basis(pixels, camera) @ rig[:LENS]
-        return states
-
-    def _with_static_weights(self, window: Window) -> Window:
-        """Return the window with each landmark tested for a motion of its own."""
-        static_weight = static_weights(
-            self._geometry(window), window.observations, window.landmarks, self._noise
-        )
-        return replace(window, landmarks=window.landmarks._replace(static_weight=static_weight))
-
-    def _geometry(self, window: Window) -> WindowGeometry:
-        return WindowGeometry(
-            T_cam_world=window.T_cam_world,
-            T_linear=window.T_linear,
-            jitter=window.jitter,
-            rig=window.rig,
-            camera=self._intrinsics,
-        )
-
-    def _system(self, window: Window) -> _System:
-        """Form the normal equations of a window, its prior included."""
-        num_frames = len(window)
-        size = FRAME * num_frames + RIG
-        num_observations = len(window.observations.slot)
-        num_landmarks = len(window.landmarks.state)
-        # The prior ½ xᵀ Λ x − ηᵀ x has the gradient η − Λ x towards its optimum, and is itself
-        # −½ xᵀ (η + η − Λ x).
-        x = window.offsets()
-        towards_prior = window.prior.vector - window.prior.information @ x
-        equations = WindowEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
-        elimination = Elimination(
-            coupling=np.empty((num_observations, LANDMARK, FRAME)),
-            rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
-            inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
-            gradient=np.empty((num_landmarks, LANDMARK)),
-        )
-        # The features first: landmarks are eliminated while their equations are summed.
-        cost = accumulate(
-            self._geometry(window),
-            window.observations,
-            window.landmarks,
-            noise=self._noise,
-            equations=equations,
-            elimination=elimination,
-        )
-        # Eliminate the jitters; what remains are equations of poses and rig, [6K + 4].
-        reduced, jitter, jitter_cost = eliminate_jitter(window, equations)
-        cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
-        hessian = reduced.hessian + window.prior.information
-        gradient = reduced.gradient + towards_prior
-        of_imu = inertial_steps.system_of(window)
-        if of_imu is not None:  # its velocities, biases and gravity are eliminated, too
-            imu_hessian, imu_gradient = of_imu.reduced()
-            cost += of_imu.cost
-            hessian += imu_hessian
-            gradient += imu_gradient
-        return _System(
-            window=window,
-            cost=cost,
-            equations=WindowEquations(hessian=hessian, gradient=gradient),
-            elimination=elimination,
-            jitter=jitter,
-            inertial=of_imu,
-        )
-
-    def _increment(self, system: _System, damping: float) -> tuple[FloatArray, float]:
-        """Solve for the increment of poses and rig, [6K + 4], with tempered information about the
-        rig.
-
-        Returns:
-            The increment, and its product with the gradient that it follows, the tempered one:
-            about twice the decrease of the tempered cost.
-        """
-        hessian, gradient = system.equations
-        poses = slice(None, -RIG)
-        rig = slice(-RIG, None)
-        # H_pp⁻¹ (H_pr, g_p), damped by a share of the diagonal of H_pp (Marquardt's scaling).
-        damped = hessian[poses, poses] + damping * np.diag(np.diagonal(hessian)[poses])
-        right_hand_sides = np.column_stack([hessian[poses, rig], gradient[poses]])
-        try:
-            solved = np.linalg.solve(damped, right_hand_sides)
-        except np.linalg.LinAlgError:
-            solved = pose_covariance(damped).in_world @ right_hand_sides
-        # The rig first, by the Schur complement S = H_rr − H_rp H_pp⁻¹ H_pr, tempered by 1/c: with
-        # its prior information Λ, (Λ + S/c) δr = (g_r − H_rp H_pp⁻¹ g_p)/c − Λ r. Then the poses
-        # for it, δp = H_pp⁻¹ (g_p − H_pr δr).
-        gain = solved[:, :RIG]
-        rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
-        rig_gradient = gradient[rig] - gain.T @ gradient[poses]
-        tempered = rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
-        of_rig = self._rig_covariance(rig_information) @ tempered
-        decrease = gradient[poses] @ solved[:, RIG] + of_rig @ tempered
-        return np.concatenate([solved[:, RIG] - gain @ of_rig, of_rig]), float(decrease)
-
-    def _covariances(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint covariance of poses and rig, and the one for motions between the poses.
-
-        Both are [6K + 4, 6K + 4]; the rig's is tempered.
-        """
-        poses = slice(None, -RIG)
-        in_world, of_motions = pose_covariance(hessian[poses, poses])
-        cov = self._with_rig(in_world, hessian)
-        # They are the same unless the position in the world is as good as unknown.
-        return cov, cov if of_motions is in_world else self._with_rig(of_motions, hessian)
-
-    def _with_rig(self, of_poses: FloatArray, hessian: FloatArray) -> FloatArray:
-        """Return the joint covariance of poses and rig, [6K + 4, 6K + 4].
-
-        Args:
-            of_poses: covariance of the poses for a rig that is known exactly, [6K, 6K].
-            hessian: of poses and rig, [6K + 4, 6K + 4].
-        """
-        poses = slice(None, -RIG)
-        rig = slice(-RIG, None)
-        # The inverse by blocks: with the gain G = H_pp⁻¹ H_pr and the tempered covariance Σ_rr of
-        # the rig, Σ_pp = H_pp⁻¹ + G Σ_rr Gᵀ and Σ_pr = −G Σ_rr.
-        gain = of_poses @ hessian[poses, rig]
-        information = hessian[rig, rig] - hessian[rig, poses] @ gain
-        rig_cov = self._rig_covariance(information)
-        cov = np.empty_like(hessian)
-        cov[poses, poses] = of_poses + gain @ rig_cov @ gain.T
-        cov[poses, rig] = -gain @ rig_cov
-        cov[rig, poses] = cov[poses, rig].T
-        cov[rig, rig] = rig_cov
-        return cov
-
-    def _rig_covariance(self, information: FloatArray) -> FloatArray:
-        """Return (Λ + S/c)⁻¹ for the information S about the rig, [4, 4], and its prior's, Λ.
-
-        No observation makes the rig less certain than the prior. Where the window knows next to
-        nothing of its position, rounding may leave an S that is negative.
-        """
-        # In units of the prior's standard deviations, Λ is the identity.
-        sigma = np.diagonal(self._rig_information) ** -0.5
-        in_units = sigma[:, None] * information * sigma / CORRELATED_FEATURES
-        values, directions = np.linalg.eigh(in_units)
-        directions = sigma[:, None] * directions
-        return np.asarray(directions / (1.0 + np.maximum(values, 0.0)) @ directions.T)
-
-    def _incremented(self, system: _System, increment: FloatArray) -> Window:
-        """Return the window after an increment of poses and rig; the landmarks follow."""
-        window = system.window
-        # Back-substitution in the reverse order of the elimination: jitters, then landmarks.
-        of_jitters = system.jitter.offset - system.jitter.gain @ increment
-        at_jitter, at_others = jitter_columns(len(window))
-        of_all = np.empty(FRAME * len(window) + RIG)
-        of_all[at_jitter] = of_jitters
-        of_all[at_others] = increment
-        state = np.empty_like(window.landmarks.state)
-        move_landmarks(
-            window.landmarks.state, window.observations, system.elimination, of_all, state
-        )
-        # T ← Exp(ξ) T for each pose.
-        T_cam_world = se3.exp(increment[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
-        # First-estimates Jacobians: a pose in the prior keeps its linearisation point. One of which
-        # the prior says nothing yet may be linearised where it is.
-        known = np.diagonal(window.prior.information)[:-RIG].reshape(-1, POSE)
-        is_fixed = known.max(axis=1) > 0.0
-        return replace(
-            window,
-            T_cam_world=T_cam_world,
-            T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
-            rig=window.rig + increment[-RIG:],
-            jitter=window.jitter + of_jitters.reshape(-1, JITTER),
-            inertial=window.inertial.after_increment(system.inertial, increment),
-            landmarks=window.landmarks._replace(state=state),
-        )
-
 
 def _bounded(motion: RelativePose) -> RelativePose:
     """Return a measured motion that is as if known to ``MAX_UNKNOWN``, where it is known less."""
@@ -854,22 +415,3 @@ def _bounded(motion: RelativePose) -> RelativePose:
     factor = np.minimum(1.0, MAX_UNKNOWN / sigma)
     cov = factor[:, None] * motion.covariance * factor
     return RelativePose(motion.T_curr_prev, cov, motion.curr, motion.prev)
-
-
-def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
-    """Return the landmark of each identity, [N], among those that a frame was the last to see; −1
-    for none."""
-    alive = np.flatnonzero(window.last_seen == slot)
-    rows = rows_of(ids, window.ids[alive])
-    is_known = rows >= 0
-    rows[is_known] = alive[rows[is_known]]
-    return rows
-
-
-def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLandmarks:
-    return WindowLandmarks(
-        state=landmarks.state[keep],
-        error_information=landmarks.error_information[keep],
-        static_weight=landmarks.static_weight[keep],
-        bias=landmarks.bias[keep],
-    )

@@ -36,7 +36,7 @@ class MarginalPrior:
     """What all that was marginalised says of K poses and the rig: the cost ½ xᵀ Λ x − ηᵀ x.
 
     x, [6K + 4], holds the poses' offsets Log(T T̄⁻¹) from their linearisation points, and the rig's
-    errors. The prior of the latter is not part of it (``WindowEstimator``)."""
+    errors. The prior of the latter is not part of it (``WindowAdjustment``)."""
 
     information: FloatArray
     """Λ, [6K + 4, 6K + 4]."""
