@@ -61,6 +61,24 @@ def test_without_contrast_there_is_nothing_to_adapt() -> None:
     assert with_contrast_of(black, image) is black
 
 
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_what_covers_a_part_of_an_image_is_no_exposure(share: float, gain: float) -> None:
+    """A finger on one of the lenses, whichever of the images is adapted to the other."""
+    image = exposed(textured(), gain)
+    covered = image.copy()
+    covered[:, : round(share * image.shape[1])] = 20
+    template = pyramid(textured())
+    for one, other in ((template, pyramid(covered)), (pyramid(covered), template)):
+        adapted = with_contrast_of(one, other)
+        if gain == 1.0:
+            assert adapted is one
+            continue
+        # The part that both show becomes alike.
+        seen = np.s_[:, -round(0.3 * image.shape[1]) :]
+        np.testing.assert_allclose(adapted[0][seen].std(), other[0][seen].std(), rtol=0.15)
+
+
 @pytest.mark.parametrize("gain", [0.3, 0.5])
 def test_tracks_survive_a_jump_of_the_exposure(gain: float) -> None:
     """Down and up again, a camera that moves by three pixels keeps nine tenths of the tracks that
