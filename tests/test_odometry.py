@@ -17,7 +17,7 @@ from intervals import chi2_interval
 from probevo.arrays import FloatArray, Image
 from probevo.config import GyroConfig, SolverConfig, TrackingConfig
 from probevo.errors import InputError
-from probevo.estimation.recovery import DeadReckonedPath
+from probevo.estimation.recovery import DeadReckonedPath, Gap
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import Metrics, evaluate
@@ -32,7 +32,7 @@ from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.missing_data import Defect, MissingData
-from probevo.state import LastUsable
+from probevo.state import LastUsable, Unconnected
 from probevo.tracking import preparation
 from probevo.tracking.preparation import high_pass
 from worlds import (
@@ -716,7 +716,8 @@ def test_images_that_overwrite_those_to_be_connected_give_these_up(
     assert state is not None
     # As if frame 4 had been dead-reckoned, and features of frame 3 not found in it.
     usable = LastUsable(replace(state, frame=frames[3]), DeadReckonedPath.none())
-    odometry._state = replace(state, unconnected=usable)
+    gap = Gap(0.1, mean_twist=np.zeros(6), sigma=np.ones(6), T_curr_end=np.eye(4))
+    odometry._state = replace(state, unconnected=Unconnected(usable, gap))
     found = []
     with_step = WindowEstimator.with_step
 

@@ -126,7 +126,8 @@ class StereoOdometry:
             return MotionEstimate.first(missing)
         if state.last_usable is not None:
             check_memory(state.last_usable.state.frame, frame)
-        if state.unconnected is not None and share_memory(state.unconnected.state.frame, frame):
+        unconnected = state.unconnected
+        if unconnected is not None and share_memory(unconnected.usable.state.frame, frame):
             state = replace(state, unconnected=None)  # its images are no more
         clock = StageClock(decode=frame.decode_ms)
         prediction = predict(state, frame, self.imu)  # from last velocity and gyro
@@ -413,6 +414,11 @@ class StereoOdometry:
             return solved
         if not is_solved:
             return replace(found, recovery=recovery)
+        # Both velocities are known now, before the gap and behind it.
+        gap = state.gap_before(observed.prediction.duration_s, solved.calibrated.accepted())
+        across = found.visual.accepted_solution
+        if gap is None or gap.contradicts(across.T_curr_prev, across.cov):
+            return solved
         found_again = SolvedTracks(
             prediction.state.frame.index, found.calibrated, recovery.noise_factor
         )
@@ -526,10 +532,20 @@ class StereoOdometry:
             window=window,
             last_usable=state.last_usable_after(prediction.duration_s, two_frame),
             unconnected=state.unconnected_after(
-                prediction.duration_s, two_frame, is_connected=solved.found_again is not None
+                prediction.duration_s, two_frame, is_connected=self._is_connected(solved, window)
             ),
         )
         return estimate, after
+
+    def _is_connected(self, solved: Solved, window: Window | None) -> bool:
+        """Return whether the window has taken the features of the last usable frame that were found
+        again: an adjustment that fails goes on without any."""
+        found = solved.found_again
+        if found is None or window is None:
+            return False
+        fewest = INLIERS_FACTOR * self.config.solver.min_tracks
+        newest = solved.prediction.frame.index
+        return window.num_common_landmarks(found.prev, newest) >= fewest
 
     def _accept_or_dead_reckon(
         self, prediction: Prediction, solved: Solved

@@ -68,7 +68,7 @@ class Prediction:
             None if the previous frame is usable itself, if the last usable one is too long ago, or
             if a window with an IMU bridges the frames between.
         """
-        usable = self.state.last_usable or self.state.unconnected
+        usable = self.state.last_usable_or_unconnected
         window = self.state.window
         if usable is None or Inertial.of(window).may_bridge:
             return None

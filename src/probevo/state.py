@@ -16,7 +16,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.noise_scale import NoiseScale
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.recovery import MAX_DURATION_S, DeadReckonedPath
+from probevo.estimation.recovery import MAX_DURATION_S, DeadReckonedPath, Gap
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.window import Window
@@ -68,6 +68,14 @@ class LastUsable:
 
 
 @dataclass(frozen=True)
+class Unconnected:
+    """A usable frame before dead-reckoned steps that no feature connects with those behind yet."""
+
+    usable: LastUsable
+    gap: Gap
+
+
+@dataclass(frozen=True)
 class OdometryState:
     """The whole memory of a ``StereoOdometry``: a step computes a new one and assigns it last.
 
@@ -102,7 +110,7 @@ class OdometryState:
     last_usable: LastUsable | None = None
     """The frame from which the path is dead-reckoned; None if the motion to the last frame was
     solved from images."""
-    unconnected: LastUsable | None = None
+    unconnected: Unconnected | None = None
     """The last usable frame before steps that were dead-reckoned, though the last one was solved,
     until features connect it with a frame behind them; None without a window."""
 
@@ -158,21 +166,52 @@ class OdometryState:
         )
         return replace(usable, path=usable.path.advanced(duration_s, motion))
 
+    def gap_before(self, duration_s: float, motion: MotionEstimate) -> Gap | None:
+        """Return the gap between the usable frame that is not connected yet and a solved step.
+
+        Args:
+            duration_s: time of that step.
+            motion: the step.
+
+        Returns:
+            None if all frames are connected, and without a window.
+        """
+        if self.window is None:
+            return None
+        if self.last_usable is not None:
+            before = self.last_usable.state.motion_model
+            return Gap.between(self.last_usable.path, before, motion, duration_s)
+        if self.unconnected is not None:
+            return self.unconnected.gap.advanced(motion.T_curr_prev)
+        return None
+
     def unconnected_after(
         self, duration_s: float, motion: MotionEstimate, *, is_connected: bool
-    ) -> LastUsable | None:
-        """Return the last usable frame that is still to be connected after the next motion.
+    ) -> Unconnected | None:
+        """Return the usable frame that is still to be connected after the next motion.
 
         Args:
             duration_s: time of that motion.
             motion: the motion.
             is_connected: whether it has found features of that frame.
         """
-        usable = self.last_usable or self.unconnected
-        if usable is None or self.window is None or motion.status is not Status.OK or is_connected:
+        if motion.status is not Status.OK or is_connected:
+            return None
+        usable = self.last_usable_or_unconnected
+        gap = self.gap_before(duration_s, motion)
+        if usable is None or gap is None:
             return None
         path = usable.path.advanced(duration_s, motion)
-        return replace(usable, path=path) if path.duration_s <= MAX_DURATION_S else None
+        if path.duration_s > MAX_DURATION_S:
+            return None
+        return Unconnected(replace(usable, path=path), gap)
+
+    @property
+    def last_usable_or_unconnected(self) -> LastUsable | None:
+        """The frame whose features are to be found again; None if all frames are connected."""
+        if self.last_usable is None and self.unconnected is not None:
+            return self.unconnected.usable
+        return self.last_usable
 
 
 def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConfig) -> Window:

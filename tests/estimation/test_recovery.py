@@ -14,6 +14,7 @@ from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.recovery import (
     MAX_DURATION_S,
     DeadReckonedPath,
+    Gap,
     Recovery,
     noise_factor,
 )
@@ -287,11 +288,11 @@ def test_what_is_never_seen_again_is_given_up() -> None:
     for frame in frames:
         odometry.step(frame)
         assert odometry.state is not None
-        usable = odometry.state.unconnected
-        if usable is not None:
+        unconnected = odometry.state.unconnected
+        if unconnected is not None:
             waited += 1
-            assert usable.state.unconnected is None
-            assert usable.path.duration_s <= MAX_DURATION_S
+            assert unconnected.usable.state.unconnected is None
+            assert unconnected.usable.path.duration_s <= MAX_DURATION_S
     assert 20 < waited < 10 * MAX_DURATION_S
     assert odometry.state.unconnected is None
 
@@ -303,3 +304,56 @@ def test_two_frames_have_nothing_to_connect() -> None:
         odometry.step(frame)
         assert odometry.state is not None
         assert odometry.state.unconnected is None
+
+
+def driven(rng: np.random.Generator, frames: int, acceleration: float) -> FloatArray:
+    """Return the motions of a vehicle that accelerates at random, [frames, 4, 4], by so many
+    standard deviations of the motion model."""
+    accelerations = MotionModel.at_start(OdometryConfig().motion_model).accelerations
+    changes = acceleration * 0.1**2 * accelerations * rng.normal(size=(frames, 6))
+    motions: FloatArray = se3.exp(se3.log(FORWARD) + np.cumsum(changes, axis=0))
+    return motions
+
+
+def gap_of(motions: FloatArray, cov: FloatArray) -> Gap:
+    """Return the gap between the first of these motions and the last, both of which are solved."""
+    before = MotionModel.at_start(OdometryConfig().motion_model).after_solve(0.1, motions[0], cov)
+    path = replace(DeadReckonedPath.none(), duration_s=0.1 * (len(motions) - 2))
+    behind = MotionEstimate(motions[-1], cov, pv.Status.OK, num_tracks=50)
+    return Gap.between(path, before, behind, 0.1)
+
+
+@pytest.mark.parametrize("dark", [1, 3, 10])
+def test_a_motion_across_a_gap_agrees_with_the_velocities_beside_it(dark: int) -> None:
+    cov = 1e-6 * np.eye(6)
+    for seed in range(200):
+        motions = driven(np.random.default_rng(seed), dark + 2, acceleration=1.0)
+        gap = gap_of(motions, cov)
+        across = np.eye(4)
+        for motion in motions[1:]:
+            across = motion @ across
+        assert not gap.contradicts(across, cov)
+        # Two more solved steps change nothing, whatever they are.
+        turn = se3.exp(np.array([0.0, 0.0, -2.0, 0.0, 0.5, 0.0]))
+        later = gap.advanced(turn).advanced(turn)
+        assert not later.contradicts(turn @ turn @ across, cov)
+
+
+def test_the_motion_of_a_vehicle_that_covers_the_view_contradicts_them() -> None:
+    """It is as fast as the camera: its features stay where they are."""
+    cov = 1e-6 * np.eye(6)
+    for dark in (1, 3, 5):
+        motions = driven(np.random.default_rng(dark), dark + 2, acceleration=0.2)
+        gap = gap_of(motions, cov)
+        assert gap.contradicts(np.eye(4), cov)
+        assert gap.advanced(FORWARD).contradicts(FORWARD, cov)
+
+
+def test_behind_a_start_the_velocity_of_the_step_behind_counts() -> None:
+    cov = 1e-6 * np.eye(6)
+    start = MotionModel.at_start(OdometryConfig().motion_model)
+    path = replace(DeadReckonedPath.none(), duration_s=0.1)
+    gap = Gap.between(path, start, MotionEstimate(FORWARD, cov, pv.Status.OK, num_tracks=50), 0.1)
+    assert not gap.contradicts(FORWARD @ FORWARD, cov)
+    back = se3.exp(np.array([0.0, 0.0, 12.0, 0.0, 0.0, 0.0]))
+    assert gap.contradicts(FORWARD @ back, cov)

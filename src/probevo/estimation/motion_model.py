@@ -423,8 +423,13 @@ class MotionModel:
         """Return the standard deviation of the twist after a further time, [6]."""
         # The velocity drifts in proportion to time, not to its square root as in a random walk: a
         # vehicle that brakes keeps braking.
-        acceleration = self.acceleration_scale.factors * self._configured_accelerations
-        return self.twist_sigma + acceleration * (self.since_solve_s + duration_s)
+        return self.twist_sigma + self.accelerations * (self.since_solve_s + duration_s)
+
+    @property
+    def accelerations(self) -> FloatArray:
+        """Standard deviations of this rig's accelerations, [6], m/s² and rad/s²."""
+        accelerations: FloatArray = self.acceleration_scale.factors * self._configured_accelerations
+        return accelerations
 
     @property
     def _configured_accelerations(self) -> FloatArray:

@@ -20,8 +20,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.motion_model import MotionPrediction
+from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.geometry import se3
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 
 INLIERS_FACTOR = 2
 """Factor of the inliers that a recovery needs, compared with an ordinary step. Few features
@@ -101,6 +102,68 @@ class DeadReckonedPath:
         adjoint = se3.adjoint(T_curr_prev)
         grown: FloatArray = adjoint @ self.cov @ adjoint.T + cov + path_cross_cov + path_cross_cov.T
         return grown
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Dead-reckoned steps between two solved ones, whose velocities are known.
+
+    The mean velocity meanwhile is that of both, up to the accelerations of the vehicle. A motion
+    across the gap that contradicts it is not the camera's: a lorry that covers the view may be seen
+    before and behind, too.
+    """
+
+    duration_s: float
+    """Of the dead-reckoned steps."""
+    mean_twist: FloatArray
+    """Mean of the velocities before and behind, [6], m/s and rad/s."""
+    sigma: FloatArray
+    """Standard deviation of the mean velocity in between, [6]."""
+    T_curr_end: FloatArray
+    """Motion from the last dead-reckoned frame to the current one, solved, [4, 4]."""
+
+    @staticmethod
+    def between(
+        path: DeadReckonedPath, before: MotionModel, motion: MotionEstimate, duration_s: float
+    ) -> Gap:
+        """Return the gap before a solved step.
+
+        Args:
+            path: the dead-reckoned one.
+            before: the motion model at its start.
+            motion: the step behind it.
+            duration_s: time of that step.
+        """
+        twist = se3.log(motion.T_curr_prev) / duration_s
+        sigma = np.sqrt(np.diagonal(motion.cov)) / duration_s
+        unknown = before.accelerations * (path.duration_s + duration_s)
+        if before.speed_is_unknown:
+            return Gap(path.duration_s, twist, sigma + unknown, motion.T_curr_prev)
+        # With a constant acceleration, the mean of both is right. One that is new in the middle,
+        # and ends with the same velocity, moves it by half of what it might alone.
+        return Gap(
+            path.duration_s,
+            mean_twist=0.5 * (before.twist + twist),
+            sigma=0.5 * (before.twist_sigma + sigma + unknown),
+            T_curr_end=motion.T_curr_prev,
+        )
+
+    def advanced(self, T_curr_prev: FloatArray) -> Gap:
+        """Return the gap after one more solved step, [4, 4]."""
+        return replace(self, T_curr_end=T_curr_prev @ self.T_curr_end)
+
+    def contradicts(self, T_curr_usable: FloatArray, cov: FloatArray) -> bool:
+        """Return whether a motion from the last usable frame to the current one cannot be that of
+        the camera.
+
+        Args:
+            T_curr_usable: the motion, [4, 4].
+            cov: its covariance, [6, 6].
+        """
+        across = se3.log(se3.inverse(self.T_curr_end) @ T_curr_usable)
+        difference = across / self.duration_s - self.mean_twist
+        variance = self.sigma**2 + np.diagonal(cov) / self.duration_s**2
+        return bool((difference**2 / variance).sum() > MOTIONS_DIFFER_FROM)
 
 
 @dataclass(frozen=True)

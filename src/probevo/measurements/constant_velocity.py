@@ -5,6 +5,7 @@ from __future__ import annotations
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
 from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.relative_pose import RelativePose
 
 
 class ConstantVelocity(VectorMeasurement):
@@ -46,6 +47,17 @@ class ConstantVelocity(VectorMeasurement):
         """Return the motion T_cb by the step before, Exp(s Log T_ba), [4, 4]."""
         last_motion = se3.log(values[self.prev] @ se3.inverse(values[self.before]))
         return se3.exp(self.duration_ratio * last_motion)
+
+    def from_prev(self, values: Values, last_motion_cov: FloatArray) -> RelativePose:
+        """Return the expected motion with its covariance, as if it were independent of the step
+        before.
+
+        Args:
+            values: the poses of that step.
+            last_motion_cov: covariance of its motion, [6, 6].
+        """
+        cov = self.covariance + self.duration_ratio**2 * last_motion_cov
+        return RelativePose(self.expected(values), cov, curr=self.curr, prev=self.prev)
 
     def residual(self, values: Values) -> FloatArray:
         """Return −Log(T_cb Exp(s Log T_ba)⁻¹), [6]."""

@@ -24,10 +24,10 @@ from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
 from probevo.estimation.window.further_measurements import tested_against, with_measurements
 from probevo.estimation.window.marginalization import without_blind
-from probevo.estimation.window.new_frame import with_new_pose, with_tracks
+from probevo.estimation.window.new_frame import FoundAgain, with_new_pose, with_tracks
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement, Values, pose_of
 from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
@@ -109,7 +109,17 @@ class WindowEstimator:
             if weak is not None:
                 return weak
         if visual.status is not Status.OK or features is None:
-            return self.without_features(window, frame, motion, measurements)
+            if velocity is None or shares is not None or not _has_seen_since(window, motion):
+                return self.without_features(window, frame, motion, measurements)
+            # Since the frame where the dead reckoning starts, far features have shown more of the
+            # velocity.
+            return self.without_features(
+                window,
+                frame,
+                velocity.from_prev(_values(window), _last_motion_cov(window, velocity)),
+                measurements,
+                velocity=velocity,
+            )
         tracks, noise = features
         if shares is not None:
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
@@ -183,11 +193,8 @@ class WindowEstimator:
         prev = window.slot(two_frames.variables[0].frame)
         frame = two_frames.curr.frame
         try:
-            extended = self.with_frame(
-                window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev
-            )
-            if found_again is not None:
-                extended = self._with_found_again(extended, found_again, tracks)
+            extended = with_new_pose(window, frame, two_frames.T_curr_prev, prev=prev)
+            extended = self._with_tracks(extended, tracks, noise, prev=prev, found=found_again)
             counted = list(measurements)
             if motion_factor is not None:
                 counted.append(two_frames.scaled(motion_factor))
@@ -231,8 +238,7 @@ class WindowEstimator:
         """
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
         # velocity alone so far off in all others that they look like outliers.
-        values = dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
-        expected = velocity.expected(values)
+        expected = velocity.expected(_values(window))
         difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
         both = two_frames.hessian + np.linalg.inv(velocity.covariance)
         step = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
@@ -258,6 +264,7 @@ class WindowEstimator:
         measurements: Sequence[Measurement] = (),
         *,
         in_motion: Sequence[Measurement] = (),
+        velocity: ConstantVelocity | None = None,
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
@@ -270,6 +277,7 @@ class WindowEstimator:
             measurements: further measurements of the poses of the window; it may be one of them.
             in_motion: measurements that the motion is estimated from, so that they count only where
                 it does not.
+            velocity: what the motion is estimated from; it counts in place of the motion.
         """
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
@@ -284,7 +292,7 @@ class WindowEstimator:
             if extended.inertial.bridges_newest:
                 measurements = [*measurements, *in_motion]
             else:
-                measurements = [*measurements, _bounded(motion)]
+                measurements = [*measurements, velocity or _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
             adjusted = self.adjustment.adjusted(measured)
@@ -295,7 +303,9 @@ class WindowEstimator:
                 raise
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
-        return self.without_features(left_out, frame, motion, given, in_motion=in_motion)
+        return self.without_features(
+            left_out, frame, motion, given, in_motion=in_motion, velocity=velocity
+        )
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
@@ -377,33 +387,65 @@ class WindowEstimator:
         return self._with_tracks(extended, tracks, noise, prev=prev)
 
     def _with_tracks(
-        self, window: Window, tracks: Tracks, noise: StereoNoise, *, prev: int
+        self,
+        window: Window,
+        tracks: Tracks,
+        noise: StereoNoise,
+        *,
+        prev: int,
+        found: SolvedTracks | None = None,
     ) -> Window:
-        return with_tracks(
+        """Return the window with observations of its newest frame, by ``new_frame.with_tracks``.
+
+        Args:
+            window: K frames.
+            tracks: N tracks from one of them to the newest.
+            noise: of these N tracks.
+            prev: slot of the frame where they start.
+            found: tracks from an earlier frame, if there are any that see it again.
+        """
+        features = None if found is None else self._features_of(found)
+        if found is None or features is None:
+            return with_tracks(
+                window, tracks, noise, prev=prev, camera=self._camera, loss=self._loss
+            )
+        # A feature of both counts once, by its landmark in the earlier frame.
+        found_tracks, found_noise = features
+        before = window.slot(found.prev)
+        window = with_tracks(
             window,
             tracks,
             noise,
             prev=prev,
+            found=FoundAgain(before, found_tracks.ids),
+            camera=self._camera,
+            loss=self._loss,
+        )
+        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
+        return with_tracks(
+            window,
+            found_tracks.subset(others),
+            found_noise.subset(others),
+            prev=before,
             camera=self._camera,
             loss=self._loss,
         )
 
-    def _with_found_again(self, window: Window, found: SolvedTracks, tracks: Tracks) -> Window:
-        """Return the window with features in its newest frame that an earlier one saw.
 
-        Args:
-            window: K frames.
-            found: their tracks from that frame.
-            tracks: those from the frame before; a feature that is among them counts only once.
-        """
-        features = self._features_of(found)
-        if features is None:
-            return window
-        found_tracks, noise = features
-        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
-        return self._with_tracks(
-            window, found_tracks.subset(others), noise.subset(others), prev=window.slot(found.prev)
-        )
+def _values(window: Window) -> Values:
+    """Return the poses of a window by their variables."""
+    return dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
+
+
+def _has_seen_since(window: Window, motion: RelativePose) -> bool:
+    """Return whether features connect a frame behind the one where a motion starts."""
+    start = window.slot(motion.variables[0].frame)
+    return not bool(window.is_blind[start + 1 :].all())
+
+
+def _last_motion_cov(window: Window, velocity: ConstantVelocity) -> FloatArray:
+    """Return the covariance of the motion that a velocity is taken from, [6, 6]."""
+    return window.relative(window.slot(velocity.prev.frame), window.slot(velocity.before.frame))[1]
 
 
 def _bounded(motion: RelativePose) -> RelativePose:

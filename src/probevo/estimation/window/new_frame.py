@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,15 @@ from probevo.tracking.tracks import Tracks
 
 MIN_VARIANCE_PX2 = 1e-12
 """Variance of a time-correlated disparity error in a noise model that knows none."""
+
+
+class FoundAgain(NamedTuple):
+    """Features of a frame before a gap that are seen again."""
+
+    slot: int
+    """Of that frame."""
+    ids: IntArray
+    """Their identities, [N]."""
 
 
 def with_new_pose(window: Window, frame: int, T_curr_prev: FloatArray, *, prev: int) -> Window:
@@ -58,6 +68,7 @@ def with_tracks(
     noise: StereoNoise,
     *,
     prev: int,
+    found: FoundAgain | None = None,
     camera: StereoCamera,
     loss: RobustLoss,
 ) -> Window:
@@ -73,6 +84,7 @@ def with_tracks(
             b₁ and b₂.
         noise: of these N tracks.
         prev: slot of the frame where they start.
+        found: features of an earlier frame, whose landmarks go on; the previous one had none.
         camera: the rectified camera.
         loss: the robust loss of the observations.
     """
@@ -81,30 +93,38 @@ def with_tracks(
     newest = len(window) - 1
     # The landmark of each track; new ones are numbered behind those of the window.
     rows = _rows_of(window, tracks.ids, prev)
+    is_in_prev = rows >= 0
+    if found is not None:
+        of_found = np.where(
+            np.isin(tracks.ids, found.ids), _rows_of(window, tracks.ids, found.slot), -1
+        )
+        rows = np.where(is_in_prev, rows, of_found)
     is_new = rows < 0
     rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
     if noise.refers_to == "residual":
         noise = noise.scaled(np.full(len(tracks), 0.5))
     prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
     parameters = loss.parameters(noise.dof)
-    # Observations: all in the new frame, and those of new landmarks in the frame before, too,
-    # which is their anchor.
+    # Observations: all in the new frame, and in the frame before those that it does not have yet.
+    # For new landmarks that is the anchor.
     first_px = tracks.prev_px[is_new]
+    added = np.flatnonzero(~is_in_prev)
     # Each observation counts with the noise at its own time.
-    scale = np.concatenate([prev_scale[is_new], noise.scale])
+    scale = np.concatenate([prev_scale[added], noise.scale])
     # A bias is the mean of a step's residual: an observation has those of all steps since the
     # first of its track in its error.
     bias = np.concatenate([window.landmarks.bias, np.zeros_like(first_px)])
+    prev_px = tracks.prev_px - bias[rows]
     bias[rows] += noise.bias
     root = np.zeros_like(scale)
     if not fill_roots(scale, root):
         raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
     new = WindowObservations(
         start=np.zeros(0, np.int64),
-        slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), newest)]),
-        pixels=np.concatenate([first_px, tracks.curr_px - bias[rows]]),
+        slot=np.concatenate([np.full(len(added), prev), np.full(len(tracks), newest)]),
+        pixels=np.concatenate([prev_px[added], tracks.curr_px - bias[rows]]),
         root=root,
-        loss_parameter=np.concatenate([parameters[is_new], parameters]),
+        loss_parameter=np.concatenate([parameters[added], parameters]),
     )
     # Landmarks: the new ones as their first observation shows them, with the prior of δ, whose
     # information is 1/τ².
@@ -130,7 +150,7 @@ def with_tracks(
         is_blind=is_blind,
         ids=np.concatenate([window.ids, tracks.ids[is_new]]),
         landmarks=landmarks,
-        observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
+        observations=merged(window.observations, new, np.concatenate([rows[added], rows])),
     )
 
 

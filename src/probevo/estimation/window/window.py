@@ -173,6 +173,17 @@ class Window:
         """Place in the window of the last frame that saw each landmark, [L]."""
         return self.observations.slot[self.observations.start[1:] - 1]
 
+    def num_common_landmarks(self, frame: int, other: int) -> int:
+        """Return how many landmarks two frames see, by their indices; 0 if one is not in the
+        window."""
+        of_frame, of_other = (
+            self.landmark_rows[
+                np.isin(self.observations.slot, np.flatnonzero(self.frames == index))
+            ]
+            for index in (frame, other)
+        )
+        return len(np.intersect1d(of_frame, of_other))
+
     def has_common_landmarks(self, slot: int) -> bool:
         """Return whether a landmark is seen both from the frame in this slot and from the one
         before it."""
