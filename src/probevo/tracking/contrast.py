@@ -76,8 +76,7 @@ class _Cells(NamedTuple):
 
 
 def _cells(pyramid: Pyramid) -> _Cells:
-    """Divide the coarsest level into cells of ``CELL_PX``; what is left over at the border does not
-    count."""
+    """Divide the coarsest level into cells of ``CELL_PX``, without the rest at its border."""
     level = pyramid[-1]
     height, width = level.shape
     side = max(CELL_PX >> (len(pyramid) - 1), MIN_CELL_PX)
