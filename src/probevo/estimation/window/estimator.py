@@ -193,8 +193,15 @@ class WindowEstimator:
         prev = window.slot(two_frames.variables[0].frame)
         frame = two_frames.curr.frame
         try:
-            extended = with_new_pose(window, frame, two_frames.T_curr_prev, prev=prev)
-            extended = self._with_tracks(extended, tracks, noise, prev=prev, found=found_again)
+            extended = self.with_frame(
+                window,
+                frame,
+                two_frames.T_curr_prev,
+                tracks,
+                noise,
+                prev=prev,
+                found=found_again,
+            )
             counted = list(measurements)
             if motion_factor is not None:
                 counted.append(two_frames.scaled(motion_factor))
@@ -369,6 +376,7 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         prev: int = -1,
+        found: SolvedTracks | None = None,
     ) -> Window:
         """Return the window with one more frame, which is not yet adjusted.
 
@@ -381,10 +389,24 @@ class WindowEstimator:
             noise: of these N tracks.
             prev: slot of the previous frame, which is the last one unless those after it are
                 blind.
+            found: tracks from an earlier frame, if there are any that see it again.
         """
         prev %= len(window)
         extended = with_new_pose(window, frame, T_curr_prev, prev=prev)
-        return self._with_tracks(extended, tracks, noise, prev=prev)
+        features = None if found is None else self._features_of(found)
+        if found is None or features is None:
+            return self._with_tracks(extended, tracks, noise, prev=prev)
+        # A feature of both counts once, by its landmark in the earlier frame.
+        found_tracks, found_noise = features
+        earlier = FoundAgain(window.slot(found.prev), found_tracks.ids)
+        extended = self._with_tracks(extended, tracks, noise, prev=prev, found=earlier)
+        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
+        return self._with_tracks(
+            extended,
+            found_tracks.subset(others),
+            found_noise.subset(others),
+            prev=earlier.slot,
+        )
 
     def _with_tracks(
         self,
@@ -393,40 +415,14 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         prev: int,
-        found: SolvedTracks | None = None,
+        found: FoundAgain | None = None,
     ) -> Window:
-        """Return the window with observations of its newest frame, by ``new_frame.with_tracks``.
-
-        Args:
-            window: K frames.
-            tracks: N tracks from one of them to the newest.
-            noise: of these N tracks.
-            prev: slot of the frame where they start.
-            found: tracks from an earlier frame, if there are any that see it again.
-        """
-        features = None if found is None else self._features_of(found)
-        if found is None or features is None:
-            return with_tracks(
-                window, tracks, noise, prev=prev, camera=self._camera, loss=self._loss
-            )
-        # A feature of both counts once, by its landmark in the earlier frame.
-        found_tracks, found_noise = features
-        before = window.slot(found.prev)
-        window = with_tracks(
+        return with_tracks(
             window,
             tracks,
             noise,
             prev=prev,
-            found=FoundAgain(before, found_tracks.ids),
-            camera=self._camera,
-            loss=self._loss,
-        )
-        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
-        return with_tracks(
-            window,
-            found_tracks.subset(others),
-            found_noise.subset(others),
-            prev=before,
+            found=found,
             camera=self._camera,
             loss=self._loss,
         )
