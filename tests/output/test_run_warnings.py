@@ -46,7 +46,7 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     said = status_warning(np.array([Status.OK, other, status, status]))
     assert said is not None
     assert said.startswith("Only 1 of 4 steps are OK")
-    assert f"Most of the others are {status.name.replace('_', ' ').lower()}," in said
+    assert f"Most that are not OK have the status {status.name}," in said
 
 
 def test_a_tenth_of_steps_without_a_solve_is_said() -> None:

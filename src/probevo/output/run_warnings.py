@@ -121,10 +121,9 @@ def _usual_cause(status: IntArray) -> str:
     """Return which status most steps have that are not OK, and what usually causes it."""
     found, counts = np.unique(status[status != Status.OK], return_counts=True)
     prevailing = Status(found[counts.argmax()])
-    name = prevailing.name.replace("_", " ").lower()
     return (
-        f"Most of the others are {name}, usually because of {_CAUSES[prevailing]}: see `probevo"
-        " info SEQUENCE`."
+        f"Most that are not OK have the status {prevailing.name}, usually because of"
+        f" {_CAUSES[prevailing]}: see `probevo info SEQUENCE`."
     )
 
 
