@@ -58,7 +58,7 @@ def test_a_tenth_of_steps_without_a_solve_is_said() -> None:
     said = unsolved_warning(np.array([Status.OK] * 8 + [lost] * 2))
     assert said is not None
     assert said.startswith("2 of 10 steps are dead-reckoned")
-    assert "too few tracks" in said
+    assert "TOO_FEW_TRACKS" in said
 
 
 def _winding(rng: np.random.Generator, length_m: float) -> FloatArray:
