@@ -389,7 +389,7 @@ class StereoOdometry:
         """Estimate the motion from the tracks and from other measurements of it.
 
         If the tracks are lost right after dead-reckoned steps, search for the features of the last
-        usable frame instead (``estimation.recovery``).
+        usable frame instead (``estimation.recovery``); for a window, also where they are not.
         """
         others = [*measured.by_gyro, *measured.motion_measurements]
         solved = self._solve(observed, others, clock)
