@@ -645,6 +645,10 @@ class StereoOdometry:
         # dead-reckoned motion, whose rotation is the gyro's.
         if not window.inertial.has_measured and solved.is_step_solved:
             measurements += measured.by_gyro
+        # What tracks do not show of a step, the velocity before may.
+        velocity = None
+        if solved.visual.status is not Status.OK:
+            velocity = velocity_for_window(window, prediction)
         recovery = solved.recovery
         return self._window_estimator.with_step(
             window,
@@ -654,7 +658,7 @@ class StereoOdometry:
                 noise_factor=1.0 if recovery is None else recovery.noise_factor,
             ),
             motion_for_window(window, prediction, corrected),
-            velocity=velocity_for_window(window, prediction),
+            velocity=velocity,
             shares=shares,
             measurements=measurements,
             found_again=solved.found_again,

@@ -56,7 +56,9 @@ class ConstantVelocity(VectorMeasurement):
             values: the poses of that step.
             last_motion_cov: covariance of its motion, [6, 6].
         """
-        cov = self.covariance + self.duration_ratio**2 * last_motion_cov
+        # Far from the world's origin, rounding leaves the difference of two poses unsymmetric.
+        of_last_motion = 0.5 * (last_motion_cov + last_motion_cov.T)
+        cov = self.covariance + self.duration_ratio**2 * of_last_motion
         return RelativePose(self.expected(values), cov, curr=self.curr, prev=self.prev)
 
     def residual(self, values: Values) -> FloatArray:

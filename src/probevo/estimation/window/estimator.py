@@ -18,7 +18,6 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
-from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
@@ -96,29 +95,12 @@ class WindowEstimator:
             found_again: tracks from the last frame before dead reckoning, which see it again; None
                 if there are none.
         """
-        # Without an accepted solve there is no noise of the features to count them with.
         solved = step.solved
         visual = solved.visual
-        frame = motion.curr.frame
         features = self._features_of(step)
-        two_frames = visual.two_frames_only
-        if visual.is_weak and features and two_frames and velocity and shares is None:
-            weak = self._with_weak_features(
-                window, *features, two_frames, velocity=velocity, measurements=measurements
-            )
-            if weak is not None:
-                return weak
         if visual.status is not Status.OK or features is None:
-            if velocity is None or shares is not None or not _has_seen_since(window, motion):
-                return self.without_features(window, frame, motion, measurements)
-            # Since the frame where the dead reckoning starts, far features have shown more of the
-            # velocity.
-            return self.without_features(
-                window,
-                frame,
-                velocity.from_prev(_values(window), _last_motion_cov(window, velocity)),
-                measurements,
-                velocity=velocity,
+            return self._without_solve(
+                window, step, motion, velocity=velocity, shares=shares, measurements=measurements
             )
         tracks, noise = features
         if shares is not None:
@@ -144,6 +126,37 @@ class WindowEstimator:
             errors=solved.rig.image,
         )
         return replace(after, distortion=distortion)
+
+    def _without_solve(
+        self,
+        window: Window,
+        step: SolvedTracks,
+        motion: RelativePose,
+        *,
+        velocity: ConstantVelocity | None,
+        shares: Shares | None,
+        measurements: Sequence[Measurement],
+    ) -> Window:
+        """Return the window after a step without an accepted solve; see ``with_step``."""
+        frame = motion.curr.frame
+        if velocity is None or shares is not None:
+            return self.without_features(window, frame, motion, measurements)
+        # Features may show a part of the motion.
+        if step.solved.visual.is_weak:
+            weak = self._with_weak_features(
+                window, step, velocity=velocity, measurements=measurements
+            )
+            if weak is not None:
+                return weak
+        _, last_cov = window.relative(
+            window.slot(velocity.prev.frame), window.slot(velocity.before.frame)
+        )
+        if not _has_seen_since(window, motion) or not np.isfinite(last_cov).all():
+            return self.without_features(window, frame, motion, measurements)
+        # Since the frame where the dead reckoning starts, such features have shown more of the
+        # velocity.
+        by_velocity = velocity.from_prev(_values(window), last_cov)
+        return self.without_features(window, frame, by_velocity, measurements, velocity=velocity)
 
     def _features_of(self, step: SolvedTracks) -> tuple[Tracks, StereoNoise] | None:
         """Return the tracks of a solve as the window takes them, and their noise; None without a
@@ -222,9 +235,7 @@ class WindowEstimator:
     def _with_weak_features(
         self,
         window: Window,
-        tracks: Tracks,
-        noise: StereoNoise,
-        two_frames: ReprojectionSolution,
+        step: SolvedTracks,
         *,
         velocity: ConstantVelocity,
         measurements: Sequence[Measurement],
@@ -234,22 +245,25 @@ class WindowEstimator:
 
         Args:
             window: K frames.
-            tracks: N tracks from the frame before the new one, as of ``with_features``.
-            noise: of these N tracks.
-            two_frames: the motion that these tracks show by themselves.
+            step: the tracks from the frame before the new one.
             velocity: that it is the same as in the step before.
             measurements: further measurements of the poses of the window.
 
         Returns:
             None where all that does not fix the motion either.
         """
+        features = self._features_of(step)
+        two_frames = step.solved.visual.two_frames_only
+        if features is None or two_frames is None:
+            return None
+        tracks, noise = features
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
         # velocity alone so far off in all others that they look like outliers.
         expected = velocity.expected(_values(window))
         difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
         both = two_frames.hessian + np.linalg.inv(velocity.covariance)
-        step = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
-        T_curr_prev = se3.exp(step) @ expected
+        shift = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
+        T_curr_prev = se3.exp(shift) @ expected
         prev = window.slot(velocity.prev.frame)
         frame = velocity.curr.frame
         try:
@@ -437,11 +451,6 @@ def _has_seen_since(window: Window, motion: RelativePose) -> bool:
     """Return whether features connect a frame behind the one where a motion starts."""
     start = window.slot(motion.variables[0].frame)
     return not bool(window.is_blind[start + 1 :].all())
-
-
-def _last_motion_cov(window: Window, velocity: ConstantVelocity) -> FloatArray:
-    """Return the covariance of the motion that a velocity is taken from, [6, 6]."""
-    return window.relative(window.slot(velocity.prev.frame), window.slot(velocity.before.frame))[1]
 
 
 def _bounded(motion: RelativePose) -> RelativePose:

@@ -84,7 +84,8 @@ def with_tracks(
             b₁ and b₂.
         noise: of these N tracks.
         prev: slot of the frame where they start.
-        found: features of an earlier frame, whose landmarks go on; the previous one had none.
+        found: features of a frame before a gap; where a track is of one of these, its landmark
+            goes on, and gets an observation in the previous frame, too.
         camera: the rectified camera.
         loss: the robust loss of the observations.
     """
