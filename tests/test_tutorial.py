@@ -4,40 +4,59 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from probevo.cli.main import main
+
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+COMMAND = re.compile(r"^(probevo [\w ./:-]+)\n", re.MULTILINE)
+"""A call of probevo that a shell hands over word by word: without quotes, variables and pipes."""
 
 
-def script() -> str:
-    """All blocks as one script of Bash; the Python ones share a process, as in a notebook."""
-    blocks = BLOCK.findall(PAGE.read_text("utf-8"))
-    shell = [text for kind, text in blocks if kind == "bash"]
-    python = [text for kind, text in blocks if kind == "python"]
-    return "".join([*shell, "cat > loop.py <<'END'\n", *python, "END\npython loop.py\n"])
+def blocks(language: str) -> str:
+    """Return all blocks of a language as one script."""
+    found = BLOCK.findall(PAGE.read_text("utf-8"))
+    return "".join(text for kind, text in found if kind == language)
+
+
+def run_in_bash(script: str) -> None:
+    """Run a script of Bash in the working directory, where it finds this Python and its probevo."""
+    folders = [str(Path(sys.executable).parent), os.environ["PATH"]]
+    environment = os.environ | {"PATH": os.pathsep.join(folders)}
+    words = ["bash", "-euo", "pipefail", "-c", script]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.skipif(sys.platform == "win32", reason="the tutorial is for Bash")
-def test_every_block_runs_in_an_empty_folder(tmp_path: Path) -> None:
+def test_every_block_runs_in_an_empty_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Calls of probevo share this process, which spares each of them its imports; what else the
+    shell blocks hold, Bash runs."""
     pytest.importorskip("rosbags", reason="the extra bag is not installed")
-    folders = [str(Path(sys.executable).parent), os.environ["PATH"]]
-    environment = os.environ | {"PATH": os.pathsep.join(folders)}
-    if "PYTHONPATH" in environment:
-        paths = environment["PYTHONPATH"].split(os.pathsep)
-        environment["PYTHONPATH"] = os.pathsep.join(str(Path(path).resolve()) for path in paths)
-    words = ["bash", "-euo", "pipefail", "-c", script()]
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-2000:]
+    monkeypatch.chdir(tmp_path)
+    run_in_bash("probevo --version\n")
+    for number, text in enumerate(COMMAND.split(blocks("bash"))):
+        if number % 2 == 1:
+            assert main(shlex.split(text)[1:]) == 0, f"{text}\n{capsys.readouterr().err}"
+        elif text:
+            run_in_bash(text)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    capsys.readouterr()
+    exec(compile(blocks("python"), PAGE.name, "exec"), names)
+    assert "OK" in capsys.readouterr().out.splitlines()[-1]
     for name in ("first", "learned", "bag"):
         assert (tmp_path / "out" / name / "report.html").exists()
     for name in ("compared", "seen"):
         assert list((tmp_path / "out" / name).glob("*.html"))
     assert (tmp_path / "odometry.mcap").exists() or (tmp_path / "out/bag/odometry.mcap").exists()
-    assert "OK" in done.stdout.splitlines()[-1]
