@@ -27,7 +27,7 @@ from probevo_sim.point_world import write_points
 from sequences.recordings import write_kitti_flow, write_tracks
 from training.supervised_drives import point_world, rmse_m, true_motions
 
-FRAMES = 16
+FRAMES = 10
 SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
 
 
@@ -47,10 +47,26 @@ def recordings(tracks: list[Path]) -> list[Sequence]:
     return [pv.open_sequence(path) for path in tracks]
 
 
+@dataclass(frozen=True)
+class Trained:
+    """A model that a training has written, and the progress that it showed."""
+
+    path: Path
+    shown: list[tuple[int, int]]
+
+
 @pytest.fixture(scope="module")
-def model_bytes(recordings: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return the model of a training that was not stopped."""
-    return train(recordings, tmp_path_factory.mktemp("model") / "model.safetensors").read_bytes()
+def trained(recordings: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """A training that was not stopped; nothing else is in the folder of its model."""
+    out = tmp_path_factory.mktemp("model") / "models" / "model.safetensors"
+    shown: list[tuple[int, int]] = []
+    assert train(recordings, out, on_progress=lambda *each: shown.append(each)) == out
+    return Trained(out, shown)
+
+
+@pytest.fixture(scope="module")
+def model_bytes(trained: Trained) -> bytes:
+    return trained.path.read_bytes()
 
 
 def train(
@@ -84,9 +100,8 @@ def test_a_name_that_is_no_text_is_written_with_question_marks(
     assert neighbors_of(out).training["recordings"][0]["name"] == "dr?ive.npz"
 
 
-def test_the_model_describes_its_training(recordings: list[Sequence], out: Path) -> None:
-    assert train(recordings, out) == out
-    model = neighbors_of(out)
+def test_the_model_describes_its_training(recordings: list[Sequence], trained: Trained) -> None:
+    model = neighbors_of(trained.path)
     assert model.columns == ("x", "y", "row_offset")
     assert model.camera == recordings[0].camera
     assert len(model.index_.values) <= 2 * (FRAMES - 1) * SETTINGS.iterations * SETTINGS.subset
@@ -101,9 +116,8 @@ def test_the_model_describes_its_training(recordings: list[Sequence], out: Path)
     )
 
 
-def test_nothing_but_the_model_is_left(recordings: list[Sequence], out: Path) -> None:
-    train(recordings, out)
-    assert list(out.parent.iterdir()) == [out]
+def test_nothing_but_the_model_is_left(trained: Trained) -> None:
+    assert list(trained.path.parent.iterdir()) == [trained.path]
 
 
 def test_the_same_settings_give_the_same_bytes(
@@ -122,11 +136,8 @@ def test_another_seed_gives_another_model(
     assert train(recordings, out, other).read_bytes() != model_bytes
 
 
-def test_progress_is_that_of_all_frames_and_iterations(
-    recordings: list[Sequence], out: Path
-) -> None:
-    shown: list[tuple[int, int]] = []
-    train(recordings, out, on_progress=lambda done, total: shown.append((done, total)))
+def test_progress_is_that_of_all_frames_and_iterations(trained: Trained) -> None:
+    shown = trained.shown
     total = 2 * FRAMES * (1 + SETTINGS.iterations)
     assert {each for _, each in shown} == {total}
     assert all(before <= after for (before, _), (after, _) in pairwise(shown))
@@ -146,14 +157,10 @@ def stopping_after(calls: int) -> Callable[[int, int], None]:
 
 
 def test_stopped_at_any_moment_and_resumed_it_gives_the_same_bytes(
-    recordings: list[Sequence], model_bytes: bytes, tmp_path: Path
+    recordings: list[Sequence], trained: Trained, model_bytes: bytes, tmp_path: Path
 ) -> None:
     """Once, at each fifth of the moments at which it tells of its progress."""
-    reports: list[int] = []
-    train(
-        recordings, tmp_path / "count.safetensors", on_progress=lambda done, _: reports.append(done)
-    )
-    for calls in range(0, len(reports), 5):
+    for calls in range(0, len(trained.shown), 5):
         out = tmp_path / f"{calls}.safetensors"
         with pytest.raises(KeyboardInterrupt):
             train(recordings, out, on_progress=stopping_after(calls))
@@ -216,7 +223,7 @@ def test_what_is_done_is_not_done_again(
 def test_every_supervision_gives_a_model(
     recordings: list[Sequence], out: Path, supervision: str
 ) -> None:
-    every_s = 0.5 if supervision in ("sparse", "position") else 0.0
+    every_s = 0.2 if supervision in ("sparse", "position") else 0.0
     settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
     model = neighbors_of(train(recordings, out, settings))
     assert model.training["settings"]["supervision"] == supervision
@@ -415,7 +422,7 @@ def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
 
 def test_more_neighbours_than_samples_are_refused(recordings: list[Sequence], out: Path) -> None:
     settings = SETTINGS.model_copy(update={"neighbors": 10_000})
-    refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 720 samples.")
+    refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 432 samples.")
 
 
 def test_with_fewer_neighbours_it_goes_on_where_it_was(
@@ -595,20 +602,23 @@ def test_an_output_that_cannot_be_written_is_refused_at_once(
             train(recordings, path, on_progress=looked_at)
 
 
-def test_the_model_of_another_camera_is_refused(recordings: list[Sequence], out: Path) -> None:
-    model = pv.load_model(train(recordings, out))
+def test_the_model_of_another_camera_is_refused(
+    recordings: list[Sequence], trained: Trained
+) -> None:
+    model = pv.load_model(trained.path)
     camera: StereoCamera = replace(recordings[0].camera, baseline_m=0.1)
     with pytest.raises(InputError, match="trained with another camera"):
         model.check_camera(camera)
 
 
-def test_names_and_settings_may_be_plain(tracks: list[Path], tmp_path: Path) -> None:
+def test_names_and_settings_may_be_plain(
+    tracks: list[Path], model_bytes: bytes, tmp_path: Path
+) -> None:
     """Text for paths, and a dictionary of the settings that differ."""
     plain = SETTINGS.model_dump(mode="json", exclude_defaults=True)
     out = str(tmp_path / "plain.safetensors")
     given = pv.train_model([str(path) for path in tracks], plain, out)
-    same = pv.train_model(tracks, SETTINGS, tmp_path / "same.safetensors")
-    assert given.read_bytes() == same.read_bytes()
+    assert given.read_bytes() == model_bytes
 
 
 @pytest.mark.parametrize(
