@@ -87,6 +87,68 @@ def test_two_processes_give_the_bytes_of_one(
     assert shown[-1][0] <= shown[-1][1]
 
 
+def test_of_more_features_than_a_model_takes_some_are_drawn(
+    tracks: list[Path], static_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The draw does not depend on the workers, and leaves some features out."""
+    monkeypatch.setattr(error_samples, "MAX_FEATURES", 1000)
+    one, two = (
+        pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
+        for workers in (Workers(), TWO)
+    )
+    assert one.read_bytes() == two.read_bytes() != static_bytes
+
+
+def test_of_many_drives_some_steps_are_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The draw depends neither on workers nor on parts; a short drive may lose all its steps."""
+    monkeypatch.setattr(thinning, "MAX_FEATURES", 500)
+    monkeypatch.setattr(thinning, "STRETCH", 3)
+    world = point_world(frames=60, landmarks=400)
+    drive = drive_of(world)
+    nothing = known(world, "none")
+    settings = pv.TrainSettings(kind="student-t", supervision="none")
+    found = []
+    for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
+        stored = DriveOnDisk(tmp_path / name, 0, world.camera)
+        pieces = np.array_split(np.arange(59), parts)
+        stored.keep_drive((drive.subset(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
+        stored.keep_supervision(nothing)
+        short = DriveOnDisk(tmp_path / name, 1, world.camera)
+        short.keep_drive([drive.subset(np.arange(59) == 0)], str, 2)
+        short.keep_supervision(nothing)
+        thin = thinned([stored, short], 0, workers)
+        metric = Metric.fitted(drive.phi)
+        model = learn_student_t(TrainingContext(drives=thin, metric=metric, settings=settings))
+        found.append((joined(thin[0].parts()), model.scale_))
+    (one, scale), (other, other_scale) = found
+    for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    np.testing.assert_array_equal(scale, other_scale)
+    share = thinning.FEATURES_PER_DRAWN * 500 / drive.used.sum()
+    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(3 * 59 * share * (1 - share))
+    taken = [
+        k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()
+    ]
+    np.testing.assert_allclose(
+        one.curr_px, drive.subset(np.isin(np.arange(59), taken)).curr_px, atol=1e-4
+    )
+
+
+def infinite(step: Step) -> np.ndarray:
+    return np.full(len(step.tracks), np.inf)
+
+
+def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) -> None:
+    """As in one process; and what the others did is kept."""
+    own = Predictor("own", {"own": "1"}, "test", needs=Needs.TRACKS, compute=infinite)
+    with pytest.raises(InputError) as caught:
+        pv.train_model(tracks, KNN, tmp_path / "m.safetensors", own_predictors=[own], workers=TWO)
+    assert str(caught.value).startswith("predictor own: feature 0 (from 0) has the value inf.")
+    assert "may be undefined" in caught.value.cure
+
+
 @dataclass(frozen=True)
 class Deadly:
     """A recording that once kills the process that looks at its tenth frame, unless that is this
@@ -138,19 +200,6 @@ def test_a_cluster_gives_them_too(tracks: list[Path], static_bytes: bytes, tmp_p
         killed = pv.train_model(sequences, STATIC, tmp_path / "killed.safetensors", workers=workers)
     assert (tmp_path / "grave").exists()
     assert there.read_bytes() == killed.read_bytes() == static_bytes
-
-
-def infinite(step: Step) -> np.ndarray:
-    return np.full(len(step.tracks), np.inf)
-
-
-def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) -> None:
-    """As in one process; and what the others did is kept."""
-    own = Predictor("own", {"own": "1"}, "test", needs=Needs.TRACKS, compute=infinite)
-    with pytest.raises(InputError) as caught:
-        pv.train_model(tracks, KNN, tmp_path / "m.safetensors", own_predictors=[own], workers=TWO)
-    assert str(caught.value).startswith("predictor own: feature 0 (from 0) has the value inf.")
-    assert "may be undefined" in caught.value.cure
 
 
 def test_a_worker_whose_lease_has_expired_stops(tracks: list[Path], tmp_path: Path) -> None:
@@ -266,18 +315,6 @@ def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: flo
     assert abs(len(whole.feature_errors.features) / drive.used.sum() - share) < 0.05
 
 
-def test_of_more_features_than_a_model_takes_some_are_drawn(
-    tracks: list[Path], static_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The draw does not depend on the workers, and leaves some features out."""
-    monkeypatch.setattr(error_samples, "MAX_FEATURES", 1000)
-    one, two = (
-        pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
-        for workers in (Workers(), TWO)
-    )
-    assert one.read_bytes() == two.read_bytes() != static_bytes
-
-
 def test_a_drive_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
     world = point_world(frames=4)
     drive = DriveOnDisk(tmp_path, 5, world.camera)
@@ -289,43 +326,6 @@ def test_a_drive_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
     assert found.facts.digest == "abc"
     np.testing.assert_array_equal(found.supervision.T_world_cam, known(world).T_world_cam)
     assert found.facts.features == len(drive_of(world).phi)
-
-
-def test_of_many_drives_some_steps_are_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The draw depends neither on workers nor on parts; a short drive may lose all its steps."""
-    monkeypatch.setattr(thinning, "MAX_FEATURES", 500)
-    monkeypatch.setattr(thinning, "STRETCH", 3)
-    world = point_world(frames=60, landmarks=400)
-    drive = drive_of(world)
-    nothing = known(world, "none")
-    settings = pv.TrainSettings(kind="student-t", supervision="none")
-    found = []
-    for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
-        stored = DriveOnDisk(tmp_path / name, 0, world.camera)
-        pieces = np.array_split(np.arange(59), parts)
-        stored.keep_drive((drive.subset(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
-        stored.keep_supervision(nothing)
-        short = DriveOnDisk(tmp_path / name, 1, world.camera)
-        short.keep_drive([drive.subset(np.arange(59) == 0)], str, 2)
-        short.keep_supervision(nothing)
-        thin = thinned([stored, short], 0, workers)
-        metric = Metric.fitted(drive.phi)
-        model = learn_student_t(TrainingContext(drives=thin, metric=metric, settings=settings))
-        found.append((joined(thin[0].parts()), model.scale_))
-    (one, scale), (other, other_scale) = found
-    for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    np.testing.assert_array_equal(scale, other_scale)
-    share = thinning.FEATURES_PER_DRAWN * 500 / drive.used.sum()
-    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(3 * 59 * share * (1 - share))
-    taken = [
-        k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()
-    ]
-    np.testing.assert_allclose(
-        one.curr_px, drive.subset(np.isin(np.arange(59), taken)).curr_px, atol=1e-4
-    )
 
 
 def test_across_a_gap_nothing_is_remembered() -> None:

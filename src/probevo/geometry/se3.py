@@ -45,7 +45,9 @@ def transform(T_b_a: FloatArray, points_a: FloatArray) -> FloatArray:
 
 def inverse(T_b_a: FloatArray) -> FloatArray:
     """Return T_a_b = T_b_a⁻¹, [..., 4, 4]."""
-    T_b_a = np.array(T_b_a, np.float64, order="C")
+    T_b_a = np.ascontiguousarray(T_b_a, np.float64)
+    if not T_b_a.flags.writeable:  # a read-only array is of another type, to compile for
+        T_b_a = T_b_a.copy()
     T_a_b = np.empty_like(T_b_a)
     invert_poses(T_b_a.reshape(-1, 4, 4), T_a_b.reshape(-1, 4, 4))
     return T_a_b
