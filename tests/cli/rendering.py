@@ -3,6 +3,7 @@
 Others use it too: ``from cli.rendering import write_wall``.
 """
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -27,6 +28,7 @@ STEP = np.array([0.01, 0.0, -0.15, 0.002, -0.004, 0.003])
 """Log(T_curr_prev) of every step."""
 
 
+@cache
 def texture() -> Image:
     """Return an image of noise of several grain sizes."""
     rng = np.random.default_rng(7)
@@ -66,15 +68,19 @@ def render(wall: Image, T_cam_world: FloatArray) -> Image:
     return np.asarray(cv2.resize(large, SIZE_PX, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool = False) -> Path:
-    """Write a recording of the wall in the folder layout; return its folder."""
-    wall = texture()
+@cache
+def pair(index: int) -> tuple[Image, Image]:
+    """Return what the left and the right camera see at a frame."""
+    T_cam_world = se3.inverse(true_poses(index + 1)[index])
     T_right_left = np.eye(4)
     T_right_left[0, 3] = -BASELINE_M
-    for index, T_world_cam in enumerate(true_poses(frames)):
-        T_cam_world = se3.inverse(T_world_cam)
-        left = render(wall, T_cam_world)
-        right = render(wall, T_right_left @ T_cam_world)
+    return render(texture(), T_cam_world), render(texture(), T_right_left @ T_cam_world)
+
+
+def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool = False) -> Path:
+    """Write a recording of the wall in the folder layout; return its folder."""
+    for index in range(frames):
+        left, right = pair(index)
         write_image(root / "left" / f"{index:06d}.png", right if swapped else left)
         write_image(root / "right" / f"{index:06d}.png", left if swapped else right)
     calibration = [

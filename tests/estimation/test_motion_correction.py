@@ -150,6 +150,7 @@ def nees(T: FloatArray, truth: FloatArray, cov: FloatArray) -> float:
     return float(normalized_error_squared(T[None], truth[None], cov[None])[0]) / 6.0
 
 
+@cache
 def driven(seed: int, camera: StereoCamera, *sensors: MotionCorrection) -> Driven:
     frames = drive(np.random.default_rng(seed), FRAMES, sigma_px=SIGMA_PX)
     odometry = pv.StereoOdometry(camera, Fixed(), config=SETTINGS, sensors=sensors)

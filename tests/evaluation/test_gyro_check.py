@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ BIAS_RAD_S = np.array([0.02, -0.03, 0.01])
 NOISE_RAD = 3e-4
 
 
+@cache
 def drive(seed: int = 0) -> tuple[IntArray, FloatArray, ImuStream]:
     """Six seconds of a camera that is swung about two axes, and its gyro at 100 Hz."""
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ class Drive:
         return iter(self.frames)
 
 
+@cache
 def agreements(sigma_px: float, estimator: str) -> list[Agreement]:
     noise = pv.noise.Fixed(0.2**2 * np.eye(4))
     found = compare_halves(Drive(sigma_px), noise, {"estimator": estimator})  # type: ignore[arg-type]
