@@ -57,6 +57,7 @@ def test_a_notebook_is_short_and_without_outputs(path: Path) -> None:
     assert len(cells(path, "markdown")) >= 4
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_first_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

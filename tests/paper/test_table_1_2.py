@@ -175,6 +175,7 @@ def test_mistakes_are_named_before_anything_is_rendered(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is replaced, except that the reports of single runs are left out."""
     monkeypatch.setattr(

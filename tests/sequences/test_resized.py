@@ -180,6 +180,7 @@ def test_a_calibration_without_any_size_cannot_be_scaled(tmp_path: Path) -> None
         read_stereo_calibration(tmp_path / "stereo.yml", (64, 48), resized=True)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_flag_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_wall(tmp_path / "wall", 4)
     wanted = main(["run", str(path), "--out", str(tmp_path / "as_it_is")])
