@@ -55,7 +55,7 @@ def test_the_pose_and_the_first_camera_are_as_certain_as_claimed() -> None:
         odometry = pv.StereoOdometry(
             CAMERA, config=config(40.0 + 5.0 * rng.normal()), sensors=[receiver(rng)]
         )
-        for frame in drive(rng, STEPS + 1):
+        for frame in drive(rng, STEPS + 1, points=80):
             estimate = odometry.step(frame)
         assert estimate.sensors[0].state == "used"
         T_cam_world = np.linalg.matrix_power(FORWARD, STEPS)
@@ -86,7 +86,7 @@ def test_wild_fixes_lose_no_receiver(indices: tuple[int, ...], size_m: float) ->
     rng = np.random.default_rng(7)
     sensor = receiver(rng, outliers=dict.fromkeys(indices, size_m))
     odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[sensor])
-    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1)]
+    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1, points=80)]
     assert estimates[-1].sensors[0].state == "used"
     reasons = {outcome.reason for estimate in estimates for outcome in estimate.sensors}
     says_so = any(reason and reason.startswith("it starts anew") for reason in reasons)
@@ -101,7 +101,7 @@ def test_a_receiver_that_only_lies_is_excluded() -> None:
     rng = np.random.default_rng(8)
     sensor = receiver(rng, outliers=dict.fromkeys(range(STEPS + 1), 20.0))
     odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[sensor])
-    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1)]
+    estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1, points=80)]
     assert estimates[-1].sensors[0].state == "excluded"
 
 

@@ -38,7 +38,7 @@ columns = separation.SPACE.columns
 
 def drive(number: int = 0, **effects: float) -> Any:
     config = CITY.model_copy(update={"drive": number, "effects": Effects(**effects)})
-    return separation.drive(config, warm_up=3, counted=7)
+    return separation.drive(config, warm_up=2, counted=5)
 
 
 @pytest.fixture(scope="module")

@@ -29,10 +29,10 @@ def drive(scene: SceneRecording) -> tuple[Metrics, list[MotionEstimate]]:
 def test_a_clean_drive_drifts_little_and_noise_increases_the_error() -> None:
     """Drift is below 0.5 % without effects; with sensor noise, steps are half as wrong again.
 
-    The drive is 25 m through the city. Noise is added after rendering, so that both drives can use
+    The drive is 18 m through the city. Noise is added after rendering, so that both drives can use
     the same renderings.
     """
-    scene = open_scene(SceneConfig(preset="city", seed=1, distance_m=25.0))
+    scene = open_scene(SceneConfig(preset="city", seed=1, distance_m=18.0))
     scene.renderer.pair = cache(scene.renderer.pair)  # type: ignore[method-assign]
     noisy_scene = replace(
         scene, config=scene.config.model_copy(update={"effects": Effects(noise=1.0)})
