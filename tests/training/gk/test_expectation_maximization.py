@@ -3,7 +3,9 @@ with none."""
 
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -17,8 +19,10 @@ from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.noise import GeneralizedKernel, NoiseModel, StudentT
+from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.metric import Metric
 from probevo.sequences.base import Sequence
+from probevo.training.checkpoint import NoCheckpoint
 from probevo.training.drive import Drive
 from probevo.training.gk import expectation_maximization
 from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
@@ -41,6 +45,8 @@ FRAMES = 64
 RECORDINGS = [{"name": "circle", "frames": FRAMES}]
 GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "iterations": 2, "centers": 300}
 """Weights and the dof are searched for."""
+ONCE: dict[str, Any] = {"iterations": 1, "time_correlation": False}
+"""Where time correlation does not matter, which is rejected here anyway."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +86,28 @@ def metric() -> Metric:
     return Metric.fitted(drive().phi, ("ln_sigma", "random"))
 
 
+class Kept(NoCheckpoint):
+    """Keeps the iterations of a training, for another one that begins with the same."""
+
+    def __init__(self) -> None:
+        self.models: dict[int, LearnedNoiseModel] = {}
+
+    def em_model(self, number: int) -> LearnedNoiseModel | None:
+        return deepcopy(self.models.get(number))
+
+    def keep_em_model(self, number: int, model: LearnedNoiseModel) -> None:
+        self.models[number] = deepcopy(model)
+
+
+BEGUN: dict[str, Kept] = defaultdict(Kept)
+"""Trainings of the drive that several tests begin with, by their names."""
+
+
 def context_of(
-    drives: list[DriveInMemory], settings: TrainSettings, progress: TrainingProgress | None = None
+    drives: list[DriveInMemory],
+    settings: TrainSettings,
+    progress: TrainingProgress | None = None,
+    checkpoint: NoCheckpoint | None = None,
 ) -> TrainingContext:
     return TrainingContext(
         drives=drives,
@@ -89,22 +115,27 @@ def context_of(
         settings=settings,
         recordings=RECORDINGS,
         progress=progress or TrainingProgress(),
+        checkpoint=checkpoint or NoCheckpoint(),
     )
 
 
-def learn(drives: list[DriveInMemory], **gk: Any) -> Learned:
+def learn(drives: list[DriveInMemory], begun: str | None = None, **gk: Any) -> Learned:
     settings = settings_of(**gk)
-    return Learned(learn_kernel(context_of(drives, settings)), settings)
+    checkpoint = None if begun is None else BEGUN[begun]
+    return Learned(learn_kernel(context_of(drives, settings, checkpoint=checkpoint)), settings)
 
 
 @cache
 def learned(kind: str = "none") -> Learned:
-    return learn([supervised_drive(kind)])
+    return learn([supervised_drive(kind)], kind)
 
 
 @cache
 def static() -> StudentT:
-    return learn_student_t(context_of([supervised_drive()], settings_of()))
+    """Return what the training without truth begins with."""
+    return learn_student_t(
+        context_of([supervised_drive()], settings_of(), checkpoint=BEGUN["none"])
+    )
 
 
 def error_m(model: NoiseModel) -> float:
@@ -199,13 +230,14 @@ def test_the_random_column_gets_no_weight() -> None:
 def test_truth_that_is_exact_is_found_to_be_so() -> None:
     """With its σ estimated, all is as if the motions were known (PROBE-GK Alg. 1): σ of each
     feature within 1 %."""
-    exact = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0)
+    exact = learn([supervised_drive("gt")], "exact", truth_sigma_m=0.0, truth_sigma_deg=0.0)
     np.testing.assert_allclose(log_ratio(learned("gt").model), log_ratio(exact.model), atol=0.01)
 
 
 def test_with_exact_truth_one_iteration_suffices() -> None:
     """More hardly change it: σ of a feature by 2 % in the mean."""
-    once = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0, iterations=1)
+    exact = {"truth_sigma_m": 0.0, "truth_sigma_deg": 0.0}
+    once = learn([supervised_drive("gt")], "exact", **exact, iterations=1)
     assert np.mean(np.abs(log_ratio(once.model) - log_ratio(learned("gt").model))) < 0.02
 
 
@@ -219,17 +251,15 @@ def test_truth_that_is_far_off_does_no_harm() -> None:
     )
     poses = right.supervision.T_world_cam @ pv.geometry.se3.exp(off)
     wrong = replace(right, supervision=replace(right.supervision, T_world_cam=poses))
-    left = log_ratio(learn([wrong], iterations=1).model)
+    left = log_ratio(learn([wrong], **ONCE).model)
     assert abs(np.mean(left)) < 0.1
-    taken_as_exact = log_ratio(
-        learn([wrong], truth_sigma_m=0.0, truth_sigma_deg=0.0, iterations=1).model
-    )
+    taken_as_exact = log_ratio(learn([wrong], truth_sigma_m=0.0, truth_sigma_deg=0.0, **ONCE).model)
     assert np.mean(taken_as_exact) > 0.5
 
 
 def test_by_least_squares_it_works_too() -> None:
     """As PROBE-GK derives it. Of fewer frames, to save time."""
-    model = learn([supervised_drive(frames=30)], quadratic=True, iterations=1).model
+    model = learn([supervised_drive(frames=30)], quadratic=True, **ONCE).model
     assert error_m(model) < 0.97 * error_m(static())
 
 
@@ -240,8 +270,8 @@ def test_the_published_variant_tells_good_features_from_bad() -> None:
         variant="published",
         neighbors=None,
         reach=1.0,
-        iterations=1,
         centers=2000,
+        **ONCE,
     ).model
     home = ~np.asarray(model.predict(drive(1).phi).out_of_domain)
     assert home.mean() > 0.99
@@ -251,7 +281,7 @@ def test_the_published_variant_tells_good_features_from_bad() -> None:
 
 def test_of_residuals_it_learns_more_noise_than_of_observations() -> None:
     """They hold that of the point, too; and each says what it refers to."""
-    residual = learn([supervised_drive(frames=30)], refers_to="residual", iterations=1).model
+    residual = learn([supervised_drive(frames=30)], refers_to="residual", **ONCE).model
     assert (residual.refers_to, learned().model.refers_to) == ("residual", "observation")
     assert np.mean(log_ratio(residual)) > np.mean(log_ratio(learned().model)) + 0.1
 
@@ -263,7 +293,7 @@ def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     shifted = right.drive.curr_px + np.array([0.4, 0.0, 0.4, 0.0])
     off = replace(right, drive=replace(right.drive, curr_px=shifted))
     without, with_bias = (
-        learn([off], bias=bias, iterations=2, truth_sigma_m=0.0, truth_sigma_deg=0.0)
+        learn([off], bias=bias, truth_sigma_m=0.0, truth_sigma_deg=0.0, **ONCE | {"iterations": 2})
         .model.predict(drive(1).phi)
         .bias
         for bias in (False, True)
