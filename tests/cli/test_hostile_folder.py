@@ -29,6 +29,8 @@ first_use.is_solver_compiled = lambda: False
 for command, words in commands.items():
     assert main.main([command, *words.split()]) == 0, command
     assert not {"", ".", os.getcwd()} & set(sys.path), command
+    from probevo.output import page
+    page.inline_svg = lambda *_: ""  # the figures of one page have shown what drawing imports
 sys.exit(first_use.compile_solver().wait())
 """
 """The entry point, as if nothing were compiled yet; it waits for the process that compiles.

@@ -1,8 +1,11 @@
 """``probevo train``: from a simulated recording to motions with the model, its refusals, and what
 survives a kill."""
 
+import io
 import shutil
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +34,27 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@dataclass(frozen=True)
+class Trained:
+    """A model that the command has learned, and what it said."""
+
+    path: Path
+    out: str
+    err: str
+
+
 @pytest.fixture(scope="module")
-def model(tracks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(tracks: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
     path = tmp_path_factory.mktemp("model") / "city.safetensors"
-    assert main(["train", str(tracks), "--out", str(path), *FLAGS]) == 0
-    return path
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main(["train", str(tracks), "--out", str(path), *FLAGS]) == 0
+    return Trained(path, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def model(trained: Trained) -> Path:
+    return trained.path
 
 
 def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,11 +85,8 @@ def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert f"model: {out}" in capsys.readouterr().out
 
 
-def test_a_model_of_few_frames_is_warned_of(
-    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["train", str(tracks), "--out", str(tmp_path / "m.safetensors"), *FLAGS]) == 0
-    assert "learned from 16 frames of 1 recording" in capsys.readouterr().err
+def test_a_model_of_few_frames_is_warned_of(trained: Trained) -> None:
+    assert "learned from 16 frames of 1 recording" in trained.err
 
 
 def test_a_model_of_enough_frames_is_not_warned_of(model: Path) -> None:
@@ -98,14 +114,10 @@ def test_recordings_are_opened_as_told(
     assert main([*seen, "--model", str(out)]) == 0
 
 
-def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
-    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "m.safetensors"
-    assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
-    model = load_model(out)
+def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(trained: Trained) -> None:
+    model = load_model(trained.path)
     assert isinstance(model, NearestNeighbors)
-    lines = capsys.readouterr().out.splitlines()
+    lines = trained.out.splitlines()
     assert f"samples     {len(model.index_.values):,} from 16 frames of 1 recording" in lines
     assert "predictors  x, y, row_offset" in lines
     assert f"K           {model.neighbors}" in lines
@@ -118,7 +130,7 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
         )
         == 2
     )
-    assert lines[-1] == f"model: {out}"
+    assert lines[-1] == f"model: {trained.path}"
 
 
 def test_more_processes_give_the_same_model(tracks: Path, model: Path, tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """A simulated drive as a sequence: frames, IMU, truth and reproducibility."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -7,14 +9,19 @@ from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.measurements.gyro import integrate_gyro
 from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
-from probevo_sim.scene.recording import open_scene
+from probevo_sim.scene.recording import SceneRecording, open_scene
 
 SMALL = RigConfig(width_px=96, height_px=48, focal_px=60.0)
 SHORT = SceneConfig(preset="road", distance_m=20.0, rig=SMALL)
 
 
+@cache
+def short() -> SceneRecording:
+    return open_scene(SHORT)
+
+
 def test_frames_carry_images_times_and_imu() -> None:
-    recording = open_scene(SHORT)
+    recording = short()
     frames = list(recording)
     assert len(frames) == len(recording) >= 9
     assert [frame.stamp_ns for frame in frames] == recording.stamps_ns.tolist()
@@ -30,7 +37,7 @@ def test_frames_carry_images_times_and_imu() -> None:
 
 def test_truth_is_relative_to_the_first_camera_and_agrees_with_the_imu() -> None:
     """The gyro's rotation of each frame is the truth's, up to its bias of some mrad/s."""
-    recording = open_scene(SHORT)
+    recording = short()
     assert recording.truth is not None
     T = recording.truth.T_world_cam
     np.testing.assert_allclose(T[0], np.eye(4), atol=1e-12)
@@ -47,7 +54,7 @@ def test_truth_is_relative_to_the_first_camera_and_agrees_with_the_imu() -> None
 
 
 def test_flow_of_the_pixels_leads_to_the_next_frame() -> None:
-    recording = open_scene(SHORT)
+    recording = short()
     truth = recording.pixel_truth(3)
     assert recording.truth is not None
     T_next_curr = se3.inverse(recording.truth.T_world_cam[4]) @ recording.truth.T_world_cam[3]
@@ -71,7 +78,7 @@ def test_same_settings_same_bytes(drive: int) -> None:
 
 
 def test_another_drive_is_another_path_through_the_same_place() -> None:
-    first = open_scene(SHORT)
+    first = short()
     second = open_scene(SHORT.model_copy(update={"drive": 1}))
     np.testing.assert_array_equal(
         first.renderer.world.solids.T_object_solid, second.renderer.world.solids.T_object_solid
@@ -105,7 +112,7 @@ def test_flow_of_the_last_frame_continues_the_drive() -> None:
 
 
 def test_noise_of_left_and_right_is_independent() -> None:
-    quiet = open_scene(SHORT)
+    quiet = short()
     noisy = open_scene(SHORT.model_copy(update={"effects": Effects(noise=1.0)}))
     left, right = (
         a.astype(float) - b for a, b in zip(noisy.images(2), quiet.images(2), strict=True)
