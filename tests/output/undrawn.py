@@ -6,11 +6,9 @@ test of a command does not look at them. That all can be drawn is for the tests 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import pytest
 from markupsafe import Markup, escape
-from matplotlib import axis
 from matplotlib.figure import Figure
 
 
@@ -19,20 +17,9 @@ def _undrawn(figure: Figure, name: str, description: str) -> Markup:
     return Markup(f'<svg role="img" aria-label="{escape(description)}" id="{name}"></svg>')
 
 
-def _no_ticks(lazy: Any, instance: Any, owner: Any) -> Any:
-    """Return no ticks in place of the first one, which takes half of the time of new axes."""
-    if instance is None:
-        return lazy
-    name = "majorTicks" if lazy._major else "minorTicks"
-    setattr(instance, name, [])
-    return getattr(instance, name)
-
-
 @contextmanager
 def figures_undrawn() -> Iterator[None]:
     """Leave the figures of all pages empty within this context."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probevo.output.page.inline_svg", _undrawn)
-        if hasattr(axis, "_LazyTickList"):  # Matplotlib's own, so that it may be gone some day
-            patch.setattr(axis._LazyTickList, "__get__", _no_ticks)
         yield
