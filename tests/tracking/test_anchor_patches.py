@@ -8,6 +8,7 @@ import pytest
 from probevo.arrays import FloatArray, Image
 from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
 from probevo.tracking.anchor_patches_numba import brightness_variance, step_scale
+from probevo.tracking.preparation import saturated_pixels
 from probevo.tracking.spline import spline_through as spline
 from probevo.tracking.surface_motion import SurfaceMotion
 
@@ -305,7 +306,10 @@ def variance_in_single_precision(
     """The variance of the brightness, from single precision as in the alignment."""
     error = image - patch
     return brightness_variance(
-        patch.astype(np.float32), contrast.astype(np.float32), error.astype(np.float32)
+        patch.astype(np.float32),
+        contrast.astype(np.float32),
+        error.astype(np.float32),
+        num_counted=len(error),
     )
 
 
@@ -373,3 +377,81 @@ def test_what_fails_has_no_covariance(patches: AnchorPatches) -> None:
     assert failed.any()
     assert np.isnan(cov_px2[failed]).all()
     assert not np.isnan(cov_px2[~failed]).any()
+
+
+SKYLINE = np.column_stack([np.arange(30.0, 210.0, 8.0), np.full(23, MIDDLE[1])])
+"""Features on the border of ``below_the_sky``."""
+
+
+def below_the_sky(gain: float, shift: FloatArray, sky: float) -> Image:
+    """Texture whose upper half is sky of that brightness, as a camera exposes it.
+
+    The border between them is as sharp as a lens makes it.
+    """
+    v, u = np.mgrid[:HEIGHT_PX, :WIDTH_PX].astype(float)
+    points = np.stack([u - shift[0], v - shift[1]], axis=-1)
+    share = 1.0 / (1.0 + np.exp((points[..., 1] - MIDDLE[1]) / 0.5))
+    radiance = share * sky + (1.0 - share) * 0.6 * texture(points)
+    return np.clip(np.round(gain * radiance), 0, 255).astype(np.uint8)
+
+
+def skyline_error(gain: float, sky: float, *, leaves_out: bool) -> FloatArray:
+    """The mean error of features on the border of the sky, in an image of another exposure."""
+    shift = np.array([0.4, -0.3])
+    first = below_the_sky(1.0, np.zeros(2), sky)
+    image = below_the_sky(gain, shift, sky)
+    if not leaves_out:
+        patches = AnchorPatches.cut(first, SKYLINE, SIDE)
+        again = spline(image)
+    else:
+        patches = AnchorPatches.cut(first, SKYLINE, SIDE, saturated=saturated_pixels(first))
+        again = spline(image, saturated_pixels(image))
+    true = SKYLINE + shift
+    found, difference, _, _ = patches.align_left(again, true, grown(SKYLINE, 1.0))
+    fits = np.isfinite(difference)
+    assert fits.mean() > 0.8
+    error: FloatArray = np.mean((found - true)[fits], axis=0)
+    return error
+
+
+@pytest.mark.parametrize("gain", [0.7, 0.85, 0.95])
+def test_the_border_of_an_overexposed_sky_hardly_moves(gain: float) -> None:
+    """A darker image shows a smaller part of the border as white: the border seems to rise.
+
+    Less than 0.1 px are left, by the spline: beside white pixels, it swings.
+    """
+    rise_px = skyline_error(gain, 400.0, leaves_out=False)[1]
+    assert rise_px < -0.2
+    assert abs(skyline_error(gain, 400.0, leaves_out=True)[1]) < 0.35 * abs(rise_px)
+
+
+def test_a_sky_that_is_not_saturated_is_aligned_as_before() -> None:
+    before = skyline_error(0.9, 180.0, leaves_out=False)
+    np.testing.assert_array_equal(skyline_error(0.9, 180.0, leaves_out=True), before)
+
+
+def test_a_patch_of_which_hardly_a_pixel_counts_is_no_match() -> None:
+    """White, but for a few dark pixels around each feature."""
+    image = np.full((HEIGHT_PX, WIDTH_PX), 255, np.uint8)
+    for u, v in GRID.astype(int):
+        image[v - 1 : v + 2, u - 1 : u + 2] = FIRST[v - 1 : v + 2, u - 1 : u + 2]
+    patches = AnchorPatches.cut(image, GRID, SIDE, saturated=saturated_pixels(image))
+    _, difference, _, _ = patches.align_left(
+        spline(image, saturated_pixels(image)), GRID, grown(GRID, 1.0)
+    )
+    assert np.isinf(difference).all()
+
+
+def test_an_anchor_that_is_cut_anew_knows_its_saturated_pixels() -> None:
+    """Behind a growth beyond ``MAX_GROWTH``, the patch is that of the new image."""
+    image = below_the_sky(1.0, np.zeros(2), 400.0)
+    growth = 1.1 * MAX_GROWTH
+    small = AnchorPatches.cut(FIRST, SKYLINE, SIDE)
+    prepared = spline(image, saturated_pixels(image))
+    outgrown = replace(small, affine=growth * small.affine)
+    _, _, after, _ = outgrown.align_left(prepared, SKYLINE, grown(SKYLINE, 1.0))
+    is_new = np.isclose(after.affine, np.eye(2)).all(axis=(1, 2))
+    assert is_new.any()
+    share = after.saturated[is_new].mean(axis=(1, 2))
+    assert ((share > 0.3) & (share < 0.6)).all()
+    assert not after.saturated[~is_new].any()

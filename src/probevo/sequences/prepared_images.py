@@ -5,11 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
 
 Pyramid = tuple[Image, ...]
 """An image and its halved versions, level by level, [height / 2^level, width / 2^level], uint8."""
+
+
+NONE_SATURATED: Image = np.zeros((0, 0), np.uint8)
+"""The map of saturated pixels of an image that has none."""
 
 
 class SplineImage(NamedTuple):
@@ -19,6 +25,8 @@ class SplineImage(NamedTuple):
     """Grey levels, [height, width], uint8."""
     coefficients: FloatArray
     """Coefficients of the cubic B-spline, [height, width], float32, grey levels."""
+    saturated: Image
+    """1 where a pixel is saturated, else 0, [height, width], uint8; empty if none is."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
+from probevo.sequences.prepared_images import NONE_SATURATED
 from probevo.tracking.anchor_patches_numba import (
     Anchors,
     PatchAlignment,
@@ -56,6 +57,8 @@ class AnchorPatches:
     patch: AnyArray
     """Grey levels around a whole pixel, [N, side + 2, side + 2], uint8; the margin of one pixel is
     for gradients."""
+    saturated: AnyArray
+    """1 where a pixel of the patch is saturated, else 0, [N, side, side], uint8."""
     offset_px: FloatArray
     """Offset of the feature from that whole pixel, (u, v), [N, 2], px."""
     affine: FloatArray
@@ -66,22 +69,30 @@ class AnchorPatches:
     """Affine map of the last left image to the last right image, about the feature, [N, 2, 2]."""
 
     @staticmethod
-    def cut(left: Image, pixels: FloatArray, side: int) -> AnchorPatches:
+    def cut(
+        left: Image, pixels: FloatArray, side: int, *, saturated: Image = NONE_SATURATED
+    ) -> AnchorPatches:
         """Cut patches out of a left image.
 
         Args:
             left: the image, [height, width], uint8.
             pixels: features (u, v), [N, 2], px.
             side: of the patches, without their margin, px; odd.
+            saturated: 1 where a pixel of the image is saturated, else 0, [height, width], uint8;
+                empty if none is.
         """
         center = np.round(pixels).astype(np.int64)
         patch = np.empty((len(pixels), side + 2, side + 2), np.uint8)
         cut_patches(left, center, patch)
+        is_saturated = np.zeros((len(pixels), side, side), np.uint8)
+        if saturated.size:
+            cut_patches(saturated, center, is_saturated)
         # Until it is aligned, a right image is assumed to show the same: a surface that faces the
         # camera.
         identity = np.tile(np.eye(2), (len(pixels), 1, 1))
         return AnchorPatches(
             patch=patch,
+            saturated=is_saturated,
             offset_px=pixels - center,
             affine=identity,
             perspective=np.zeros((len(pixels), 2)),
@@ -102,6 +113,7 @@ class AnchorPatches:
         """Select some features by a mask, [N], or by indices."""
         return AnchorPatches(
             patch=self.patch[keep],
+            saturated=self.saturated[keep],
             offset_px=self.offset_px[keep],
             affine=self.affine[keep],
             perspective=self.perspective[keep],
@@ -140,15 +152,24 @@ class AnchorPatches:
         outgrown = (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
         # Replace them by patches of this image, whose map is the identity; drift begins anew there.
         side = self.patch.shape[1] - 2
-        fresh = AnchorPatches.cut(left.pixels, aligned.pixels[outgrown], side)
+        fresh = AnchorPatches.cut(
+            left.pixels, aligned.pixels[outgrown], side, saturated=left.saturated
+        )
         patch = self.patch.copy()
+        saturated = self.saturated.copy()
         offset_px = self.offset_px.copy()
         patch[outgrown] = fresh.patch
+        saturated[outgrown] = fresh.saturated
         offset_px[outgrown] = fresh.offset_px
         affine[outgrown] = fresh.affine
         perspective[outgrown] = fresh.perspective
         patches = replace(
-            self, patch=patch, offset_px=offset_px, affine=affine, perspective=perspective
+            self,
+            patch=patch,
+            saturated=saturated,
+            offset_px=offset_px,
+            affine=affine,
+            perspective=perspective,
         )
         return AlignedPatches(aligned.pixels, aligned.difference, patches, aligned.cov_px2)
 
@@ -184,6 +205,7 @@ class AnchorPatches:
     ) -> PatchAlignment:
         anchors = Anchors(
             patch=self.patch,
+            saturated=self.saturated,
             offset_px=self.offset_px,
             predicted_affine=predicted_affine,
             perspective=perspective,
@@ -194,5 +216,5 @@ class AnchorPatches:
             difference=np.empty(len(self)),
             cov_px2=np.empty((len(self), 2, 2)),
         )
-        align_patches(image.coefficients, anchors, sigma, alignment)
+        align_patches(image.coefficients, image.saturated, anchors, sigma, alignment)
         return alignment

@@ -3,9 +3,11 @@
 The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker, Matthews,
 "Lucas–Kanade 20 years on: a unifying framework", IJCV 2004), under a perspective that is given. The
 image may be brighter than the patch and have more contrast: gain and offset are projected out
-(Baker, Gross, Matthews, "Lucas–Kanade 20 years on: part 3", CMU-RI-TR-03-35, 2003). The pixels of a
-patch are held in one row. Between its pixels, the image is a cubic B-spline (``spline``). Indices
-are unsigned where speed matters: for signed ones, Numba handles negative values.
+(Baker, Gross, Matthews, "Lucas–Kanade 20 years on: part 3", CMU-RI-TR-03-35, 2003). Pixels that are
+saturated in either do not count: their brightness does not change with the exposure, so that the
+edges beside them would seem to move. The pixels of a patch are held in one row. Between its pixels,
+the image is a cubic B-spline (``spline``). Indices are unsigned where speed matters: for signed
+ones, Numba handles negative values.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
 from probevo.compiled import (
     compiled,
     copy_into,
@@ -46,6 +48,8 @@ MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
 """Parameters that are adjusted to the pixels of a patch: affine map, gain and offset."""
+MIN_SHARE = 0.25
+"""Share of the pixels of a patch that must count, or the alignment fails."""
 MAX_FORESHORTENING = 0.5
 """If the scale of a slanted surface changes by more than this from the centre of its patch to the
 border, the surface is treated as if it faced the camera."""
@@ -56,6 +60,8 @@ class Anchors(NamedTuple):
 
     patch: AnyArray
     """[N, side + 2, side + 2], uint8; the margin of one pixel is for gradients."""
+    saturated: AnyArray
+    """1 where a pixel of the patch is saturated, else 0, [N, side, side], uint8."""
     offset_px: FloatArray
     """Offset of the feature from the middle of its patch, [N, 2], px."""
     predicted_affine: FloatArray
@@ -94,6 +100,8 @@ class Template(NamedTuple):
     """Derivatives of the brightness by (t, S), [6, area], with gain and offset projected out."""
     contrast: FloatArray
     """Brightness minus its mean, normalised to length 1, [area]; 0 for a uniform patch."""
+    left_out: BoolArray
+    """Whether a pixel does not count, [area]; derivatives and contrast are 0 there."""
 
 
 class WarpedPixels(NamedTuple):
@@ -177,17 +185,24 @@ def divide_maps(
 
 @compiled
 def align_patches(
-    coefficients: FloatArray, anchors: Anchors, sigma: float, alignment: PatchAlignment
+    coefficients: FloatArray,
+    saturated: Image,
+    anchors: Anchors,
+    sigma: float,
+    alignment: PatchAlignment,
 ) -> None:
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
     A map takes x, px from the feature, to y = p + A x / (1 + g·x). Each step finds the small map W,
     W(x) = t + (I + S) x, of the patch that fits the image best, and then maps W⁻¹(x) instead of x;
     g is held. The cost is the sum over the patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE²,
-    with the best gain and offset of the patch, plus the prior ‖Â⁻¹ A − I‖² / sigma².
+    with the best gain and offset of the patch, plus the prior ‖Â⁻¹ A − I‖² / sigma². Pixels that
+    are saturated in the patch, or in the image at the predicted place, do not count.
 
     Args:
         coefficients: of the image's spline, [height, width], float32.
+        saturated: 1 where a pixel of the image is saturated, else 0, [height, width], uint8; empty
+            if none is.
         anchors: patches of N features with their predicted maps Â.
         sigma: standard deviation of the entries of Â⁻¹ A.
         alignment: in: predicted places; out: places, maps and differences.
@@ -203,6 +218,7 @@ def align_patches(
         np.empty(area, np.float32),
         np.empty((6, area), np.float32),
         np.empty(area, np.float32),
+        np.empty(area, np.bool_),
     )
     warped = WarpedPixels(np.empty(area, np.int32), np.empty((8, area), np.float32))
     error = np.empty(area, np.float32)
@@ -225,10 +241,21 @@ def align_patches(
         # The patch counts as failed until its alignment converges.
         alignment.difference[n] = np.inf
         alignment.cov_px2[n] = np.nan
+        # Where its pixels are expected in the image
+        _set_positions(anchors.patch[n], anchors.offset_px[n], template.position)
+        reach_px = _foreshorten(anchors.perspective[n], template)
+        if not _warp(
+            (u, v), A, template.foreshortened, reach_px, shape=coefficients.shape, warped=warped
+        ):
+            continue
+        num_counted = _leave_out_saturated(
+            anchors.saturated[n], saturated, warped, template.left_out
+        )
+        if num_counted < MIN_SHARE * area:
+            continue
         # Linearize the patch instead of the image: the information matrix is then constant, and is
         # factorised once for all iterations.
-        _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
-        reach_px = _foreshorten(anchors.perspective[n], template)
+        _linearize(anchors.patch[n], num_counted, template, information=information)
         # The prior is on the shape S only: the translation t is what the alignment is for.
         for k in range(2, 6):
             information[k, k] += prior
@@ -237,8 +264,16 @@ def align_patches(
         scale = 1.0
         for iteration in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
-            if not near or not _warp(
-                (u, v), A, template.foreshortened, reach_px, shape=coefficients.shape, warped=warped
+            if iteration > 0 and not (
+                near
+                and _warp(
+                    (u, v),
+                    A,
+                    template.foreshortened,
+                    reach_px,
+                    shape=coefficients.shape,
+                    warped=warped,
+                )
             ):
                 break
             # Solve the normal equations for the step (t, S)
@@ -261,20 +296,84 @@ def align_patches(
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
             # The error is that before the last step, which is too small to change it much.
             if _corner_motion_px(step, corner_px) < MAX_STEP_PX:
-                alignment.difference[n] = sum_magnitudes_float32(error) / area
+                if num_counted < area:
+                    _clear(error, template.left_out)
+                alignment.difference[n] = sum_magnitudes_float32(error) / num_counted
                 pixels[n, 0] = u
                 pixels[n, 1] = v
                 copy_into(affine[n], A)
-                variance = brightness_variance(template.brightness, template.contrast, error)
+                variance = brightness_variance(
+                    template.brightness, template.contrast, error, num_counted
+                )
                 _fill_covariance(lower, A, variance, cov_px2=alignment.cov_px2[n])
                 break
 
 
 @compiled
+def _set_positions(patch: AnyArray, offset_px: FloatArray, position: FloatArray) -> None:
+    """Set the positions of a patch's pixels without its margin, from the feature, [2, area], px."""
+    side = np.uintp(patch.shape[1] - 2)
+    # The middle of the patch without its margin is the whole pixel nearest to the feature.
+    first = np.float32(patch.shape[1] // 2 - 1)
+    u = first + np.float32(offset_px[0])
+    v = first + np.float32(offset_px[1])
+    for row in range(side):
+        for column in range(side):
+            k = row * side + column
+            position[0, k] = np.float32(column) - u
+            position[1, k] = np.float32(row) - v
+
+
+@compiled
+def _leave_out_saturated(
+    of_patch: AnyArray, of_image: Image, warped: WarpedPixels, left_out: BoolArray
+) -> int:
+    """Leave out the pixels that are saturated in a patch or in the image, and return how many
+    count.
+
+    Args:
+        of_patch: 1 where a pixel of the patch is saturated, [side, side].
+        of_image: the same for the image, [height, width]; empty if none is.
+        warped: where the pixels of the patch are in the image, between four of its pixels.
+        left_out: out, [area].
+    """
+    flat_patch = of_patch.ravel()
+    flat_image = of_image.ravel()
+    width = of_image.shape[1]
+    num_counted = len(flat_patch)
+    for i in range(len(flat_patch)):
+        is_saturated = flat_patch[i] != 0
+        if len(flat_image) > 0:
+            upper = warped.corner[i]
+            lower = upper + width
+            is_saturated |= (flat_image[upper] | flat_image[upper + 1]) != 0
+            is_saturated |= (flat_image[lower] | flat_image[lower + 1]) != 0
+        left_out[i] = is_saturated
+        if is_saturated:
+            num_counted -= 1
+    return num_counted
+
+
+@compiled
+def _clear(values: FloatArray, left_out: BoolArray) -> None:
+    """Set values to 0 where a pixel does not count, both [area]."""
+    for i in range(len(values)):
+        if left_out[i]:
+            values[i] = np.float32(0.0)
+
+
+@compiled
 def _linearize(
-    patch: AnyArray, offset_px: FloatArray, template: Template, information: FloatArray
+    patch: AnyArray, num_counted: int, template: Template, information: FloatArray
 ) -> None:
-    """Fill the template of one patch, and the inner products of its derivatives, [6, 6]."""
+    """Fill the derivatives of one patch, and their inner products, [6, 6].
+
+    Args:
+        patch: with its margin, [side + 2, side + 2].
+        num_counted: number of pixels that count.
+        template: with positions, and the pixels that are left out.
+        information: out.
+    """
     position = template.position
     window = template.brightness
     descent = template.steepest_descent
@@ -282,18 +381,12 @@ def _linearize(
     width = np.uintp(patch.shape[1])
     side = np.uintp(patch.shape[1] - 2)
     one = np.uintp(1)
-    # The middle of the patch without its margin is the whole pixel nearest to the feature.
-    first = np.float32(patch.shape[1] // 2 - 1)
-    u = first + np.float32(offset_px[0])
-    v = first + np.float32(offset_px[1])
     for row in range(side):
         for column in range(side):
             # k counts the pixels of the window, ``at`` those of the patch with its margin.
             k = row * side + column
             at = (row + one) * width + column + one
             window[k] = np.float32(brightness[at])
-            position[0, k] = np.float32(column) - u
-            position[1, k] = np.float32(row) - v
             # Central differences
             descent[0, k] = np.float32(0.5) * (
                 np.float32(brightness[at + one]) - np.float32(brightness[at - one])
@@ -301,6 +394,9 @@ def _linearize(
             descent[1, k] = np.float32(0.5) * (
                 np.float32(brightness[at + width]) - np.float32(brightness[at - width])
             )
+    if num_counted < len(window):
+        _clear(descent[0], template.left_out)
+        _clear(descent[1], template.left_out)
     # Derivatives by S = [[s₀, s₁], [s₂, s₃]]: x times those by t
     for i in range(len(window)):
         along = descent[0, i]
@@ -311,21 +407,27 @@ def _linearize(
         descent[3, i] = along * y
         descent[4, i] = down * x
         descent[5, i] = down * y
-    _project_out_brightness(template)
+    _project_out_brightness(template, num_counted)
     # Gauss–Newton information of the patch, constant during the alignment
     inner_products_float32(descent, information)
 
 
 @compiled
-def _project_out_brightness(template: Template) -> None:
+def _project_out_brightness(template: Template, num_counted: int) -> None:
     """Make the derivatives of a template orthogonal to its contrast and to a constant.
 
     An error that gain or offset explains, which is along these two, then moves no parameter.
     """
     contrast = template.contrast
-    mean = np.float32(sum_float32(template.brightness) / len(contrast))
+    all_count = num_counted == len(contrast)
+    copy_into(contrast, template.brightness)
+    if not all_count:
+        _clear(contrast, template.left_out)
+    mean = np.float32(sum_float32(contrast) / num_counted)
     for i in range(len(contrast)):
-        contrast[i] = template.brightness[i] - mean
+        contrast[i] -= mean
+    if not all_count:
+        _clear(contrast, template.left_out)
     length = math.sqrt(dot_float32(contrast, contrast))
     to_unit_length = np.float32(1.0 / length) if length > 0.0 else np.float32(0.0)
     for i in range(len(contrast)):
@@ -333,10 +435,12 @@ def _project_out_brightness(template: Template) -> None:
     for m in range(6):
         derivative = template.steepest_descent[m]
         # Gram–Schmidt against a constant and the contrast, which are orthogonal to each other.
-        offset = np.float32(sum_float32(derivative) / len(derivative))
+        offset = np.float32(sum_float32(derivative) / num_counted)
         gain = dot_float32(derivative, contrast)
         for i in range(len(contrast)):
             derivative[i] -= offset + gain * contrast[i]
+        if not all_count:
+            _clear(derivative, template.left_out)
 
 
 @compiled
@@ -371,7 +475,9 @@ def step_scale(
 
 
 @compiled
-def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: FloatArray) -> float:
+def brightness_variance(
+    brightness: FloatArray, contrast: FloatArray, error: FloatArray, num_counted: int
+) -> float:
     """Return the variance of a patch's brightness by which it does not match the image.
 
     The image is I = a P + b + ε, with gain a and offset b of the patch P by regression. With the
@@ -380,8 +486,9 @@ def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: Flo
 
     Args:
         brightness: P, [area], grey levels.
-        contrast: P less its mean, of length 1, [area].
-        error: I − P, [area], grey levels.
+        contrast: P less its mean, of length 1, [area]; 0 where a pixel does not count.
+        error: I − P, [area], grey levels; 0 where a pixel does not count.
+        num_counted: number of pixels that count.
 
     Returns:
         ‖ε / a‖² by the degrees of freedom, those of gain, offset and affine map being lost, grey
@@ -391,12 +498,12 @@ def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: Flo
     # products with it.
     length = float(dot_float32(brightness, contrast))
     along = float(dot_float32(error, contrast))
-    offset = float(sum_float32(error)) / len(error)
+    offset = float(sum_float32(error)) / num_counted
     gain = (length + along) / length
     if not gain > 0.0:
         return np.inf
-    squared = float(dot_float32(error, error)) - len(error) * offset**2 - along**2
-    return max(squared, 0.0) / gain**2 / (len(error) - NUM_ADJUSTED)
+    squared = float(dot_float32(error, error)) - num_counted * offset**2 - along**2
+    return max(squared, 0.0) / gain**2 / (num_counted - NUM_ADJUSTED)
 
 
 @compiled

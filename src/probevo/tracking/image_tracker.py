@@ -179,7 +179,9 @@ class ImageTracker:
         in_stereo = self._match_in_stereo(
             images,
             corners,
-            AnchorPatches.cut(image, corners, self._config.window_px),
+            AnchorPatches.cut(
+                image, corners, self._config.window_px, saturated=images.left_spline.saturated
+            ),
             disparity_px=_disparity_of_nearest(corners, followed.left_px, followed.disparity_px),
             are_new=True,
             fewest=max(_fewest_to_go_on(self._config) - len(followed.alive), 0),

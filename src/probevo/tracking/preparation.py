@@ -16,12 +16,16 @@ import numpy as np
 from probevo.arrays import BoolArray, Image
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import WHITE, Frame
+from probevo.sequences.prepared_images import NONE_SATURATED
 from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.contrast import MIN_GAIN_IN_STEREO, contrast_ratio, with_contrast_of
 from probevo.tracking.detection import strongest_corners
 from probevo.tracking.lucas_kanade import build_pyramid
 from probevo.tracking.spline import spline_through
+
+SATURATED = 255
+"""Grey level of a pixel whose scene may be brighter than it shows."""
 
 
 def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
@@ -72,8 +76,8 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
     return PreparedImages(
         left=left,
         right=right,
-        left_spline=spline_through(left[0]),
-        right_spline=spline_through(right[0]),
+        left_spline=spline_through(left[0], saturated_pixels(frame.left)),
+        right_spline=spline_through(right[0], saturated_pixels(frame.right)),
         corners=strongest_corners(left[0], config, left_usable),
         left_usable=left_usable,
         right_usable=usable_places(frame.right_mask, config),
@@ -114,6 +118,12 @@ def usable_places(mask: Image | BoolArray | None, config: TrackingConfig) -> Boo
     # What lies beyond the border of the image does not count.
     usable: BoolArray = cv2.erode(is_wanted.astype(np.uint8), window) > 0
     return usable
+
+
+def saturated_pixels(image: Image) -> Image:
+    """Return 1 where a pixel is saturated, else 0, [height, width], uint8; empty if none is."""
+    saturated = image == SATURATED
+    return saturated.view(np.uint8) if saturated.any() else NONE_SATURATED
 
 
 def high_pass(image: Image, config: TrackingConfig) -> Image:

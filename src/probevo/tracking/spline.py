@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from probevo.arrays import Image
+from probevo.sequences.prepared_images import NONE_SATURATED
 from probevo.sequences.prepared_images import SplineImage as SplineImage
 
 REACH_PX = 4
@@ -28,6 +29,15 @@ RESPONSE = (math.sqrt(3.0) - 2.0) ** np.abs(np.arange(-REACH_PX, REACH_PX + 1))
 TAPS = (RESPONSE / RESPONSE.sum()).astype(np.float32)
 
 
-def spline_through(image: Image) -> SplineImage:
-    """Return an image, [height, width], uint8, with the spline through its pixels."""
-    return SplineImage(image, np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, TAPS, TAPS)))
+def spline_through(image: Image, saturated: Image = NONE_SATURATED) -> SplineImage:
+    """Return an image with the spline through its pixels.
+
+    Args:
+        image: [height, width], uint8.
+        saturated: 1 where a pixel is saturated, else 0, [height, width], uint8; empty if none is.
+    """
+    return SplineImage(
+        pixels=image,
+        coefficients=np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, TAPS, TAPS)),
+        saturated=saturated,
+    )
