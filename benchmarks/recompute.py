@@ -135,6 +135,12 @@ FIGURES = (
         "window", ("docs/window.md",), "python benchmarks/window.py", minutes=10, needs_data=True
     ),
     Figure(
+        "long-drives",
+        ("README.md", "docs/window.md"),
+        "python benchmarks/long_drives.py",
+        minutes=15,
+    ),
+    Figure(
         "window-consistency",
         ("docs/window.md",),
         "python benchmarks/window_consistency.py --only points city residential rover"

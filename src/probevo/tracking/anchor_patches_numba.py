@@ -263,19 +263,17 @@ def align_patches(
             continue
         scale = 1.0
         for iteration in range(MAX_ITERATIONS):
-            near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
-            if iteration > 0 and not (
-                near
-                and _warp(
+            if iteration > 0:
+                near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
+                if not near or not _warp(
                     (u, v),
                     A,
                     template.foreshortened,
                     reach_px,
                     shape=coefficients.shape,
                     warped=warped,
-                )
-            ):
-                break
+                ):
+                    break
             # Solve the normal equations for the step (t, S)
             _subtract(
                 flat_coefficients, coefficients.shape[1], warped, template.brightness, error=error
