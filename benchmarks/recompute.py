@@ -136,7 +136,7 @@ FIGURES = (
     ),
     Figure(
         "long-drives",
-        ("README.md", "docs/window.md"),
+        ("docs/window.md",),
         "python benchmarks/long_drives.py",
         minutes=15,
     ),
