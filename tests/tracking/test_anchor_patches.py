@@ -442,6 +442,19 @@ def test_a_patch_of_which_hardly_a_pixel_counts_is_no_match() -> None:
     assert np.isinf(difference).all()
 
 
+def test_as_many_pixels_as_parameters_show_nothing() -> None:
+    """Eight of the 25 pixels of a small window tell nothing of the scatter of the brightness."""
+    image = FIRST.copy()
+    for u, v in GRID.astype(int):
+        image[v - 2 : v + 3, u - 2 : u + 3] = 255
+        image[v - 2 : v + 2, u - 1 : u + 1] = FIRST[v - 2 : v + 2, u - 1 : u + 1]
+    patches = AnchorPatches.cut(image, GRID, 5, saturated=saturated_pixels(image))
+    assert (patches.saturated == 0).sum(axis=(1, 2)).max() == 8
+    _, difference, _, cov_px2 = patches.align_left(spline(FIRST), GRID, grown(GRID, 1.0))
+    assert np.isinf(difference).all()
+    assert np.isnan(cov_px2).all()
+
+
 def test_an_anchor_that_is_cut_anew_knows_its_saturated_pixels() -> None:
     """Behind a growth beyond ``MAX_GROWTH``, the patch is that of the new image."""
     image = below_the_sky(1.0, np.zeros(2), 400.0)

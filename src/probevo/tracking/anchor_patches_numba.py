@@ -231,6 +231,7 @@ def align_patches(
     # Everything is in units of BRIGHTNESS_NOISE: the cost is multiplied by its square, so that the
     # derivatives of the patch enter as grey levels.
     prior = (BRIGHTNESS_NOISE / sigma) ** 2
+    fewest = max(MIN_SHARE * area, NUM_ADJUSTED + 1)  # one more shows how well it matches
     corner_px = 0.5 * (anchors.patch.shape[1] - 2)  # half the side, without the margin
     for n in range(len(anchors.patch)):
         predicted = anchors.predicted_affine[n]
@@ -251,7 +252,7 @@ def align_patches(
         num_counted = _leave_out_saturated(
             anchors.saturated[n], saturated, warped, template.left_out
         )
-        if num_counted < MIN_SHARE * area:
+        if num_counted < fewest:
             continue
         # Linearize the patch instead of the image: the information matrix is then constant, and is
         # factorised once for all iterations.
