@@ -31,6 +31,7 @@ import probevo as pv
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.image_errors import INITIAL_SIGMA_PX, ImageErrors
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import Twists
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation import self_calibration
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -54,11 +55,15 @@ def steps(sequence: pv.sequences.Sequence, tau_px: float) -> Iterator[Step]:
     found: list[Step] = []
 
     def noted(
-        rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+        rig: RigCalibration,
+        tracks: Tracks,
+        solution: ReprojectionSolution,
+        camera: StereoCamera,
+        twists: Twists,
     ) -> tuple[RigCalibration, CommonMode]:
         """Update the rig, and keep what the update was given."""
         found.append((tracks, solution))
-        return update_rig(rig, tracks, solution, camera)
+        return update_rig(rig, tracks, solution, camera, twists)
 
     with (
         patch.object(RigCalibration, "initial", return_value=initial),

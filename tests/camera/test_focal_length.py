@@ -10,6 +10,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.focal_length import MAX_BLOCKS, PRIOR_SIGMA, FocalLengthEstimate
 from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import Twists
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.reprojection import solve_reprojection
@@ -60,7 +61,8 @@ def learned(
             StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=wrong),
             guess=turn(k),
         )
-        rig, _ = update_rig(rig, tracks, solution, wrong)
+        twist_s = 10.0 * se3.log(turn(k))
+        rig, _ = update_rig(rig, tracks, solution, wrong, Twists(twist_s, twist_s))
     return rig.focal
 
 
@@ -96,7 +98,8 @@ def test_what_the_distortion_field_has_taken_up_still_shows() -> None:
         solution = solve_reprojection(
             StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=wrong), guess=TURN
         )
-        updated, _ = update_rig(rig, tracks, solution, wrong)
+        twist_s = 10.0 * se3.log(TURN)
+        updated, _ = update_rig(rig, tracks, solution, wrong, Twists(twist_s, twist_s))
         moments.append(updated.focal.moment[0, 2])
     np.testing.assert_allclose(moments[1:], moments[0], rtol=0.1)
 

@@ -13,13 +13,23 @@ from probevo.camera.image_errors import (
     ImageEquations,
     ImageErrors,
 )
+from probevo.camera.rolling_shutter import READOUT_SIGMA_S
 
 
 def equations(information: FloatArray, gradient: FloatArray) -> ImageEquations:
-    """Of a step that shows nothing of the radial error of the rows, and of the focal length."""
+    """Of a step that shows nothing of the radial error of the rows, the focal length and the
+    readout time."""
     none = np.zeros(NUM_ERRORS)
     return ImageEquations(
-        information, gradient, none, none, focal_information=0.0, focal_gradient=0.0
+        information,
+        gradient,
+        with_radial=none,
+        with_focal=none,
+        focal_information=0.0,
+        focal_gradient=0.0,
+        with_readout=none,
+        readout_information=0.0,
+        readout_gradient=0.0,
     )
 
 
@@ -106,6 +116,9 @@ def with_focal_length(
                 information[:-1, -1],
                 focal_information=information[-1, -1],
                 focal_gradient=gradient[-1],
+                with_readout=np.zeros(NUM_ERRORS),
+                readout_information=0.0,
+                readout_gradient=0.0,
             )
         )
         total += information
@@ -138,3 +151,66 @@ def test_the_estimate_moves_with_the_focal_length_that_is_assumed() -> None:
     ]
     np.testing.assert_allclose(errors.mean, means[0], atol=1e-9)
     np.testing.assert_allclose(0.01 * errors.shift_by_focal, means[1] - means[0], atol=1e-9)
+
+
+def with_readout(
+    rng: np.random.Generator, readout_s: float, sigma_s: float, steps: int
+) -> tuple[ImageErrors, FloatArray, FloatArray]:
+    """Return the estimate after steps that measure image errors of 0.1 px and the readout time
+    together, each to ``sigma_s`` of the latter; and the joint information and moment of all.
+
+    The gradients are those at what is corrected, as the tracks of a step are.
+    """
+    truth = np.append(rng.normal(scale=0.1, size=NUM_ERRORS), readout_s)
+    errors = ImageErrors.initial()
+    total = np.zeros((NUM_ERRORS + 1, NUM_ERRORS + 1))
+    moment = np.zeros(NUM_ERRORS + 1)
+    none = np.zeros(NUM_ERRORS)
+    for _ in range(steps):
+        tau_px = errors.distortion_sigma_px
+        jacobian = rng.normal(size=(2 * NUM_ERRORS, NUM_ERRORS + 1))
+        jacobian[:, -1] /= sigma_s
+        information = jacobian.T @ jacobian
+        measured = truth + np.linalg.solve(information, jacobian.T @ rng.normal(size=len(jacobian)))
+        gradient = information @ (measured - np.append(errors.mean, errors.readout_s))
+        errors = errors.with_step(
+            ImageEquations(
+                information[:-1, :-1],
+                gradient[:-1],
+                with_radial=none,
+                with_focal=none,
+                focal_information=0.0,
+                focal_gradient=0.0,
+                with_readout=information[:-1, -1],
+                readout_information=information[-1, -1],
+                readout_gradient=gradient[-1],
+            )
+        )
+        total += information
+        moment += information @ measured
+    prior = np.concatenate(
+        [DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, tau_px), [READOUT_SIGMA_S]]
+    )
+    return errors, total + np.diag(prior**-2.0), moment
+
+
+@pytest.mark.parametrize("readout_s", [0.0, 0.02])
+def test_the_readout_time_is_that_of_one_least_squares_problem(readout_s: float) -> None:
+    """Of all errors together, whether or not it has been corrected in between."""
+    errors, information, moment = with_readout(np.random.default_rng(10), readout_s, 0.002, 4)
+    expected = np.linalg.solve(information, moment)
+    assert errors.readout.mean_s == pytest.approx(expected[-1], rel=1e-6)
+    sigma_s = np.sqrt(np.linalg.inv(information)[-1, -1])
+    assert errors.readout.sigma_s == pytest.approx(sigma_s, rel=1e-6)
+    assert (errors.readout_s != 0.0) == (readout_s != 0.0)
+    if readout_s:
+        np.testing.assert_allclose(errors.mean, expected[:-1], atol=1e-9)
+    else:  # the errors of the images, given that the shutter is global
+        given = np.linalg.solve(information[:-1, :-1], moment[:-1])
+        np.testing.assert_allclose(errors.mean, given, atol=1e-9)
+
+
+def test_another_radial_error_keeps_the_errors_those_of_the_readout_that_is_corrected() -> None:
+    errors, _, _ = with_readout(np.random.default_rng(11), 0.02, 0.002, 4)
+    assert errors.readout_s
+    np.testing.assert_allclose(errors.with_radial_moved(0.0).mean, errors.mean, rtol=1e-12)

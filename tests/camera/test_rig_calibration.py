@@ -140,6 +140,9 @@ def test_another_radial_error_changes_the_image_errors_with_it() -> None:
             with_focal=np.zeros(NUM_ERRORS),
             focal_information=0.0,
             focal_gradient=0.0,
+            with_readout=np.zeros(NUM_ERRORS),
+            readout_information=0.0,
+            readout_gradient=0.0,
         )
     )
     after = before.with_rows(pixels, CAMERA)
@@ -161,6 +164,9 @@ def test_neighbouring_features_count_for_less_in_the_image_errors() -> None:
             with_focal=np.zeros(NUM_ERRORS),
             focal_information=200.0,
             focal_gradient=0.0,
+            with_readout=np.zeros(NUM_ERRORS),
+            readout_information=0.0,
+            readout_gradient=0.0,
         )
     )
     np.testing.assert_allclose(rig.image.seen, information / CORRELATED_FEATURES, rtol=1e-12)

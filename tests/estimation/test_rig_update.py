@@ -15,6 +15,7 @@ from probevo.camera.rig_calibration import (
     disparity_basis,
 )
 from probevo.camera.rig_jitter import RigJitter
+from probevo.camera.rolling_shutter import Twists, without_readout
 from probevo.camera.transfer import transfer
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.rig_update import calibration_sensitivity, update_rig
@@ -34,6 +35,10 @@ from worlds import (
     seen_twice,
     tracks_of,
 )
+
+TWIST_S = 10.0 * se3.log(FORWARD)
+TWISTS = Twists(TWIST_S, TWIST_S)
+"""A tenth of a second between two frames."""
 
 
 def misrectified_tracks(
@@ -82,7 +87,7 @@ def learn(
         rig = rig.with_rows(tracks.curr_px, CAMERA)
         corrected = tracks.corrected(rig, CAMERA)
         solution = solve(corrected, StudentT())
-        rig, _ = update_rig(rig, corrected, solution, CAMERA)
+        rig, _ = update_rig(rig, corrected, solution, CAMERA, TWISTS)
         errors.append(motion_error(solution.T_curr_prev))
     return rig, np.array(errors)
 
@@ -140,7 +145,7 @@ def test_at_rest_nothing_is_learned() -> None:
     rig = RigCalibration.initial()
     for _ in range(20):
         solution = solve(tracks, StudentT(), np.eye(4))
-        rig, _ = update_rig(rig, tracks, solution, CAMERA)
+        rig, _ = update_rig(rig, tracks, solution, CAMERA, TWISTS)
     np.testing.assert_allclose(rig.image.seen, 0.0, atol=1e-9)
     np.testing.assert_allclose(rig.image.mean, 0.0, atol=1e-9)
 
@@ -151,7 +156,8 @@ def test_noise_at_rest_teaches_hardly_anything() -> None:
     rig = RigCalibration.initial()
     for _ in range(200):
         tracks = seen_twice(rng, 200, np.eye(4), sigma_px=0.2)
-        rig, _ = update_rig(rig, tracks, solve(tracks, StudentT(), np.eye(4)), CAMERA)
+        solution = solve(tracks, StudentT(), np.eye(4))
+        rig, _ = update_rig(rig, tracks, solution, CAMERA, TWISTS)
     sigma_px = np.sqrt(np.diagonal(rig.image.disparity_cov))
     assert (sigma_px > 0.95 * DISPARITY_SIGMA_PX).all()
     assert np.abs(rig.disparity).max() < 0.15
@@ -170,7 +176,7 @@ def test_what_is_learned_does_not_depend_on_the_motion_that_it_is_seen_from() ->
         max_iterations=0,
     )
     learned = [
-        update_rig(RigCalibration.initial(), tracks, each, CAMERA)[0].disparity
+        update_rig(RigCalibration.initial(), tracks, each, CAMERA, TWISTS)[0].disparity
         for each in (best, there)
     ]
     assert np.abs(learned[0]).max() > 0.1
@@ -193,7 +199,7 @@ def test_sensitivity_is_the_derivative_of_the_residuals() -> None:
 
     steps = 1e-5 * np.eye(3)
     numeric = np.stack([(residuals(step) - residuals(-step)) / 2e-5 for step in steps], axis=-1)
-    sensitivity = calibration_sensitivity(tracks, solution, CAMERA)[:, :, :3]
+    sensitivity = calibration_sensitivity(tracks, solution, CAMERA, TWISTS)[:, :, :3]
     np.testing.assert_allclose(sensitivity, numeric, atol=1e-6)
 
 
@@ -211,8 +217,28 @@ def test_the_distortion_field_acts_on_the_residuals_as_its_sensitivity_says() ->
 
     steps = 1e-5 * np.eye(NUM_COEFFICIENTS)
     numeric = np.stack([(residuals(step) - residuals(-step)) / 2e-5 for step in steps], axis=-1)
-    sensitivity = calibration_sensitivity(tracks, solution, CAMERA)[:, :, 3:-2]
+    sensitivity = calibration_sensitivity(tracks, solution, CAMERA, TWISTS)[:, :, 3:-3]
     np.testing.assert_allclose(sensitivity, numeric, atol=1e-6)
+
+
+def test_the_readout_time_acts_on_the_residuals_as_its_sensitivity_says() -> None:
+    """∂e/∂τ against central differences of y' − f(T g(y)), T held, with other velocities at the two
+    frames."""
+    tracks = seen_twice(np.random.default_rng(16), 50)
+    solution = solve(tracks, Fixed())
+    change = np.array([0.5, -0.2, 1.0, 0.3, -0.4, 0.2])
+    twists = Twists(TWIST_S - change, TWIST_S + change)
+
+    def residuals(readout_s: float) -> FloatArray:
+        prev_px = without_readout(tracks.prev_px, readout_s, twists.prev, CAMERA)
+        curr_px = without_readout(tracks.curr_px, readout_s, twists.curr, CAMERA)
+        return curr_px - CAMERA.project(
+            se3.transform(solution.T_curr_prev, CAMERA.triangulate(prev_px))
+        )
+
+    numeric = (residuals(1e-6) - residuals(-1e-6)) / 2e-6
+    sensitivity = calibration_sensitivity(tracks, solution, CAMERA, twists)[:, :, -1]
+    np.testing.assert_allclose(sensitivity, numeric, atol=1e-4 * np.abs(numeric).max())
 
 
 def distorted(tracks: Tracks, coefficients_px: FloatArray) -> Tracks:
@@ -244,7 +270,7 @@ def learn_field(
         tracks = with_noise(rng, distorted(clean, coefficients_px), 0.1)
         corrected = tracks.corrected(rig, CAMERA)
         solution = solve(corrected, StudentT(), T_curr_prev)
-        rig, _ = update_rig(rig, corrected, solution, CAMERA)
+        rig, _ = update_rig(rig, corrected, solution, CAMERA, TWISTS)
         errors.append(motion_error(solution.T_curr_prev, T_curr_prev))
     return rig, np.array(errors)
 
@@ -281,7 +307,7 @@ def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
     initial = RigCalibration.initial()
     known = np.concatenate([[0.4, 0.6], np.full(NUM_COEFFICIENTS, 1e-6)])
     rig = replace(initial, image=replace(initial.image, cov=np.diag(known**2.0)))
-    _, common_mode = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
+    _, common_mode = update_rig(rig, clean, solve(clean, Fixed()), CAMERA, TWISTS)
     columns = common_mode.columns[:, :-1]  # the last one is for the focal length
     claimed = columns @ columns.T
     errors = []
@@ -301,8 +327,8 @@ def test_common_mode_error_is_that_of_the_joint_covariance() -> None:
     assert np.abs(rig.image.cov[:2, 2:]).max() > 0.0
     tracks = seen_twice(np.random.default_rng(14), 200)
     solution = solve(tracks, StudentT())
-    _, common_mode = update_rig(rig, tracks, solution, CAMERA)
-    D = calibration_sensitivity(tracks, solution, CAMERA)[:, :, : 1 + NUM_ERRORS]
+    _, common_mode = update_rig(rig, tracks, solution, CAMERA, TWISTS)
+    D = calibration_sensitivity(tracks, solution, CAMERA, TWISTS)[:, :, : 1 + NUM_ERRORS]
     weighted = solution.irls_weight[:, None, None] * (solution.information @ D)
     gain = np.linalg.solve(solution.hessian, np.einsum("nij,nik->jk", solution.jacobian, weighted))
     covariance = np.zeros((1 + NUM_ERRORS, 1 + NUM_ERRORS))
@@ -333,7 +359,7 @@ def test_a_wrong_focal_length_moves_the_motion_as_claimed(turn_rad: float) -> No
     solution = solve(tracks, Fixed(), T_curr_prev)
     initial = RigCalibration.initial()
     known = replace(initial, image=replace(initial.image, cov=1e-18 * np.eye(NUM_ERRORS)))
-    _, common_mode = update_rig(known, tracks, solution, CAMERA)
+    _, common_mode = update_rig(known, tracks, solution, CAMERA, TWISTS)
     left = se3.log(T_curr_prev @ se3.inverse(solution.T_curr_prev))
     scale = 1e-3 * epsilon * max(turn_rad, 0.01)
     np.testing.assert_allclose(epsilon * common_mode.focal_gain, left, rtol=0.02, atol=scale)
@@ -349,7 +375,7 @@ def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant(
     certain = replace(initial, image=replace(initial.image, cov=1e-12 * np.eye(NUM_ERRORS)))
     covs = []
     for rig in (initial, certain):
-        _, common_mode = update_rig(rig, clean, solution, CAMERA)
+        _, common_mode = update_rig(rig, clean, solution, CAMERA, TWISTS)
         columns = common_mode.columns[:, :-1]
         covs.append(columns @ columns.T)
     assert np.linalg.eigvalsh(covs[0] - covs[1])[0] > -1e-12
@@ -363,7 +389,8 @@ def test_features_that_fix_no_motion_teach_nothing() -> None:
     rig = RigCalibration.initial()
     solution = solve(clean, StudentT())
     assert np.isnan(solution.cov).all()
-    after, common_mode = update_rig(rig, clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
+    singular = replace(solution, hessian=np.zeros((6, 6)))
+    after, common_mode = update_rig(rig, clean, singular, CAMERA, TWISTS)
     assert after is rig
     np.testing.assert_array_equal(common_mode.columns, 0.0)
 
@@ -378,7 +405,7 @@ def test_features_that_a_loss_has_rejected_teach_nothing() -> None:
         irls_weight=np.zeros(60),
         hessian=np.zeros_like(solution.hessian),
     )
-    after, common_mode = update_rig(rig, tracks, nothing, CAMERA)
+    after, common_mode = update_rig(rig, tracks, nothing, CAMERA, TWISTS)
     assert after is rig
     np.testing.assert_array_equal(common_mode.columns, 0.0)
 
@@ -401,9 +428,8 @@ def test_a_rig_that_stands_teaches_no_more_than_a_few_frames() -> None:
         observations = StereoObservations.of(
             corrected.prev_px, corrected.curr_px, noise, camera=CAMERA
         )
-        rig, _ = update_rig(
-            rig, corrected, solve_reprojection(observations, guess=np.eye(4)), CAMERA
-        )
+        solution = solve_reprojection(observations, guess=np.eye(4))
+        rig, _ = update_rig(rig, corrected, solution, CAMERA, Twists(np.zeros(6), np.zeros(6)))
     assert first is not None
     assert sigma_of(rig.rows_information)[0] > 0.9 * sigma_of(first.rows_information)[0]
     np.testing.assert_allclose(rig.jitter.sigma_rad, RigJitter.initial().sigma_rad, rtol=0.05)

@@ -615,7 +615,7 @@ def test_right_images_that_are_known_to_be_off_contradict_nothing(
     off = replace(
         tracks,
         curr_px=tracks.curr_px + np.array([0.0, 0.0, 3.0, 0.0]),
-        right_error_px=np.tile([right_error_px, 0.0], (150, 1)),
+        velocity_error_px=np.tile([0.0, 0.0, right_error_px, 0.0], (150, 1)),
     )
     solution, T_reference = reference_of(tracks, KnownNoise(0.2, 0.2), contradicting=off)
     assert np.array_equal(T_reference, solution.T_curr_prev) == agrees

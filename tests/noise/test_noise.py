@@ -55,28 +55,28 @@ def test_log_likelihood_of_nearly_or_wholly_gaussian_noise_is_that_of_scipy_norm
 
 
 @pytest.mark.parametrize("refers_to", ["observation", "residual"])
-def test_an_error_of_the_right_image_adds_its_covariance_in_both_frames(
+def test_a_common_error_adds_its_covariance_in_both_frames(
     refers_to: RefersTo,
 ) -> None:
     rng = np.random.default_rng(5)
     noise = replace(random_noise(rng, np.full(COUNT, 5.0)), refers_to=refers_to)
-    error_px = rng.normal(size=(COUNT, 2))
-    found = noise.with_right_error(error_px)
+    error_px = rng.normal(size=(COUNT, 4))
+    found = noise.with_common_error(error_px)
     added = found.scale - noise.scale
     frames = 2.0 if refers_to == "residual" else 1.0
     for k in range(COUNT):
-        np.testing.assert_allclose(added[k, 2:, 2:], frames * np.outer(error_px[k], error_px[k]))
-    assert not added[:, :2].any()
-    assert not added[:, :, :2].any()
+        np.testing.assert_allclose(
+            added[k], frames * np.outer(error_px[k], error_px[k]), rtol=1e-12, atol=1e-14
+        )
     assert found.prev_scale is None
 
 
-def test_an_error_of_the_right_image_adds_to_both_observations_of_different_noise() -> None:
+def test_a_common_error_adds_to_both_observations_of_different_noise() -> None:
     rng = np.random.default_rng(6)
     dof = np.full(COUNT, 5.0)
     noise = replace(random_noise(rng, dof), refers_to="observation")
     noise = replace(noise, prev_scale=random_noise(rng, dof).scale)
-    found = noise.with_right_error(rng.normal(size=(COUNT, 2)))
+    found = noise.with_common_error(rng.normal(size=(COUNT, 4)))
     assert noise.prev_scale is not None
     assert found.prev_scale is not None
     np.testing.assert_allclose(

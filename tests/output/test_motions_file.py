@@ -32,7 +32,11 @@ def test_a_run_comes_back_as_it_was(
         run = replace(run, row_errors=RowErrors(sigmas=11.5, largest_px=12.9))
         run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12, known_m=1.65))
         run = replace(
-            run, right_delay_s=-0.0015, imu_noise_factor=2.5, stopped="stopped by Ctrl-C."
+            run,
+            right_delay_s=-0.0015,
+            readout_s=0.02,
+            imu_noise_factor=2.5,
+            stopped="stopped by Ctrl-C.",
         )
         run = replace(run, accelerometer_scale=AccelerometerScale(1.02, 0.01, 17))
         run = replace(

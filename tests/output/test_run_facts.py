@@ -11,6 +11,7 @@ from probevo.output.run_facts import (
     feature_noise_text,
     focal_text,
     imu_noise_text,
+    readout_text,
     unused_imu_text,
 )
 from probevo.output.run_result import RunRecorder
@@ -21,6 +22,11 @@ from probevo.output.run_result import RunRecorder
 )
 def test_the_delay_is_said_with_its_sign(delay_s: float, text: str) -> None:
     assert f"right images are exposed {text} than left ones" in delay_text(delay_s)
+
+
+def test_a_rolling_shutter_is_said_with_its_direction() -> None:
+    assert "within 25 ms, from the first to the last" in readout_text(0.0249)
+    assert "within 8 ms, from the last to the first" in readout_text(-0.008)
 
 
 def test_the_focal_length_is_said_with_its_sigma() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from probevo.camera.exposure_delay import without_delay
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import without_readout
 from probevo.geometry import se3
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from worlds import CAMERA, FORWARD, misrectified, random_pixels, seen_twice
@@ -52,8 +53,26 @@ def test_a_delay_is_taken_off_at_each_frame_by_its_own_velocity() -> None:
     np.testing.assert_array_equal(found.simultaneous.curr_px, expected)
     # What the velocity changes in the step is what the correction may be wrong by.
     change_px = expected - without_delay(tracks.curr_px, found.delay_s, 0.5 * TWIST_S, CAMERA)
-    np.testing.assert_array_equal(found.tracks.right_error_px, change_px[:, 2:])
+    np.testing.assert_array_equal(found.tracks.velocity_error_px, change_px)
     some = found.tracks.subset(np.array([3, 7]))
-    np.testing.assert_array_equal(some.right_error_px, change_px[[3, 7], 2:])
+    np.testing.assert_array_equal(some.velocity_error_px, change_px[[3, 7]])
     steady = unknown.at_twists(TWIST_S, TWIST_S, CAMERA)
-    np.testing.assert_array_equal(steady.tracks.right_error_px, np.zeros((50, 2)))
+    np.testing.assert_array_equal(steady.tracks.velocity_error_px, np.zeros((50, 4)))
+
+
+def test_the_rows_of_a_rolling_shutter_are_moved_to_the_times_of_their_frames() -> None:
+    """Behind the delay of the right camera; each frame by its own velocity."""
+    tracks = seen_twice(np.random.default_rng(2), 50)
+    rig = RigCalibration.initial()
+    rig = replace(rig, image=replace(rig.image, readout_s=0.02))
+    unknown = CorrectedTracks.of(tracks, rig, CAMERA, prev_twist=None, curr_twist=TWIST_S)
+    assert unknown.simultaneous is tracks
+    assert not unknown.knows_velocity
+    found = unknown.at_twists(0.5 * TWIST_S, TWIST_S, CAMERA)
+    assert found.knows_velocity
+    expected = without_readout(tracks.prev_px, 0.02, 0.5 * TWIST_S, CAMERA)
+    np.testing.assert_array_equal(found.simultaneous.prev_px, expected)
+    expected = without_readout(tracks.curr_px, 0.02, TWIST_S, CAMERA)
+    np.testing.assert_array_equal(found.simultaneous.curr_px, expected)
+    change_px = expected - without_readout(tracks.curr_px, 0.02, 0.5 * TWIST_S, CAMERA)
+    np.testing.assert_array_equal(found.tracks.velocity_error_px, change_px)

@@ -15,18 +15,22 @@ raises it to 0.4 px.
 The error ε of log f looks like lens distortion, so that neither can be corrected for certain. c is
 estimated for ε = 0; ε has a prior of its own, and what is left unknown of it, beside c, is part of
 the covariance of the motions (``estimation.rig_update``).
+
+The readout time of the shutter (``camera.rolling_shutter``) is estimated jointly with c, and c for
+the readout time that is corrected: none, until the images show one.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
+from probevo.camera.rolling_shutter import READOUT_SIGMA_S, ReadoutTime
 
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
@@ -63,6 +67,12 @@ class ImageEquations(NamedTuple):
     """About ε."""
     focal_gradient: float
     """By ε, at ε = 0 and the estimate of c."""
+    with_readout: FloatArray
+    """Off-diagonal information between c and the readout time, [NUM_ERRORS], 1/(px s)."""
+    readout_information: float
+    """About the readout time, s⁻²."""
+    readout_gradient: float
+    """By the readout time, at that by which the tracks were corrected, s⁻¹."""
 
     def scaled(self, factor: float) -> ImageEquations:
         """Return the equations of so many times the information."""
@@ -73,6 +83,9 @@ class ImageEquations(NamedTuple):
             with_focal=factor * self.with_focal,
             focal_information=factor * self.focal_information,
             focal_gradient=factor * self.focal_gradient,
+            with_readout=factor * self.with_readout,
+            readout_information=factor * self.readout_information,
+            readout_gradient=factor * self.readout_gradient,
         )
 
 
@@ -88,7 +101,7 @@ class ImageErrors:
     seen: FloatArray
     """Λ, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
     moment: FloatArray
-    """m, [NUM_ERRORS], px⁻¹."""
+    """m for a readout time of 0, [NUM_ERRORS], px⁻¹."""
     with_radial: FloatArray
     """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
     distortion_sigma_px: float
@@ -99,6 +112,15 @@ class ImageErrors:
     """Information about ε, for a given c."""
     focal_moment: float = 0.0
     """What is seen of ε and c together, as the moment of ε at c = 0."""
+    with_readout: FloatArray = field(default_factory=lambda: np.zeros(NUM_ERRORS))
+    """Off-diagonal information between c and the readout time, [NUM_ERRORS], 1/(px s)."""
+    readout_seen: float = 0.0
+    """Information about the readout time, for a given c, s⁻²."""
+    readout_moment: float = 0.0
+    """What is seen of the readout time and c together, as the moment of the former at c = 0,
+    s⁻¹."""
+    readout_s: float = 0.0
+    """The readout time that is corrected; 0 until it is noticeable."""
 
     @staticmethod
     def initial(distortion_sigma_px: float = INITIAL_SIGMA_PX) -> ImageErrors:
@@ -142,6 +164,24 @@ class ImageErrors:
         return min(math.sqrt(mean**2 + 1.0 / information), FOCAL_SIGMA)
 
     @property
+    def shift_by_readout(self) -> FloatArray:
+        """∂c/∂(readout time), [NUM_ERRORS], px/s."""
+        shift: FloatArray = -self.cov @ self.with_readout
+        return shift
+
+    @property
+    def readout(self) -> ReadoutTime:
+        """The readout time by what is seen of it, whether or not it is corrected."""
+        # The joint posterior of c and the readout time, of which c is eliminated.
+        information = (
+            self.readout_seen + READOUT_SIGMA_S**-2.0 + self.with_readout @ self.shift_by_readout
+        )
+        moment = self.readout_moment + self.shift_by_readout @ self.moment
+        return ReadoutTime(
+            mean_s=float(moment / information), sigma_s=float(1.0 / math.sqrt(information))
+        )
+
+    @property
     def disparity(self) -> FloatArray:
         """b₁, b₂, [2], px."""
         return self.mean[: _DISTORTION.start]
@@ -166,11 +206,13 @@ class ImageErrors:
         iteration."""
         seen = self.seen + step.information
         moment = self.moment + step.information @ self.mean + step.gradient
+        moment += step.with_readout * self.readout_s
         prior = np.diag(1.0 / _prior_variance(self.distortion_sigma_px))
         cov = np.linalg.inv(seen + prior).astype(np.float64, copy=False)
-        mean = cov @ moment
+        with_readout = self.with_readout + step.with_readout
+        mean = cov @ (moment - with_readout * self.readout_s)
         mean_square = float(np.mean(mean[_DISTORTION] ** 2 + np.diagonal(cov)[_DISTORTION]))
-        return ImageErrors(
+        updated = ImageErrors(
             mean=mean,
             cov=cov,
             seen=seen,
@@ -182,9 +224,29 @@ class ImageErrors:
             focal_moment=(
                 self.focal_moment + step.focal_gradient + float(step.with_focal @ self.mean)
             ),
+            with_readout=with_readout,
+            readout_seen=self.readout_seen + step.readout_information,
+            readout_moment=(
+                self.readout_moment
+                + step.readout_gradient
+                + step.readout_information * self.readout_s
+                + float(step.with_readout @ self.mean)
+            ),
+            readout_s=self.readout_s,
         )
+        return updated.with_readout_corrected()
+
+    def with_readout_corrected(self) -> ImageErrors:
+        """Return the estimate for the readout time that the images show, or for none where that is
+        not noticeable."""
+        readout_s = self.readout.noticeable_s
+        if readout_s == self.readout_s:
+            return self
+        mean = self.cov @ (self.moment - self.with_readout * readout_s)
+        return replace(self, mean=mean, readout_s=readout_s)
 
     def with_radial_moved(self, change_px: float) -> ImageErrors:
         """Return the estimate given another a₆: it moves along the regression of c on a₆."""
         moment = self.moment - self.with_radial * change_px
-        return replace(self, mean=self.cov @ moment, moment=moment)
+        mean = self.cov @ (moment - self.with_readout * self.readout_s)
+        return replace(self, mean=mean, moment=moment)

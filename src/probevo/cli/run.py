@@ -204,7 +204,13 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text
-    from probevo.output.run_facts import delay_text, focal_text, jitter_text, unused_imu_text
+    from probevo.output.run_facts import (
+        delay_text,
+        focal_text,
+        jitter_text,
+        readout_text,
+        unused_imu_text,
+    )
     from probevo.output.table import readable
 
     result = run.result
@@ -227,6 +233,8 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):
         lines.append(delay_text(result.right_delay_s))
+    if result.readout_s != 0.0:
+        lines.append(readout_text(result.readout_s))
     if result.focal_length is not None and result.focal_length.is_noticeable:
         lines.append(f"focal length: {focal_text(result.focal_length)}")
     if result.out_of_domain is not None:

@@ -20,6 +20,7 @@ from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.image_errors import ImageEquations
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
+from probevo.camera.rolling_shutter import Twists, readout_sensitivity
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
@@ -28,13 +29,15 @@ from probevo.estimation.rig_update_numba import disparity_sensitivities, weigh_c
 from probevo.tracking.tracks import Tracks
 
 _FIELD = slice(3, 3 + NUM_COEFFICIENTS)
-"""Indices of the distortion field's coefficients among (b₀, b₁, b₂, field, a₆, ε)."""
+"""Indices of the distortion field's coefficients among (b₀, b₁, b₂, field, a₆, ε, τ)."""
 _IMAGE = slice(1, _FIELD.stop)
 """Those of c = (b₁, b₂, field): two frames do not estimate b₀."""
 _RADIAL = _FIELD.stop
 """Index of a₆."""
 _EPSILON = _FIELD.stop + 1
 """Index of ε."""
+_READOUT = _FIELD.stop + 2
+"""Index of the readout time τ."""
 _FOCAL = [1, 2, _EPSILON]
 """Indices of b₁, b₂ and ε."""
 
@@ -64,16 +67,21 @@ class CommonMode(NamedTuple):
 
 
 def update_rig(
-    rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+    rig: RigCalibration,
+    tracks: Tracks,
+    solution: ReprojectionSolution,
+    camera: StereoCamera,
+    twists: Twists,
 ) -> tuple[RigCalibration, CommonMode]:
-    """Update the errors of the images (b₁, b₂ and the distortion field), the jitter and the
-    focal-length error ε, and return how errors of b and of the field move the motion.
+    """Update the errors of the images (b₁, b₂ and the distortion field), the readout time τ of
+    their shutter, the jitter and the focal-length error ε, and return how errors of these move the
+    motion.
 
-    With D = ∂e/∂(b₀, c, a₆, ε), where c are b₁, b₂ and the distortion field, and J = −∂e/∂ξ (and
-    −∂e/∂η, if the noise has a jitter), c and ε are estimated from the joint normal equations, from
-    which motion and jitter are eliminated (Schur complement). a₆ is estimated from the rows, and c
-    is conditional on it. The solution need not be at the optimum, but it must use these two frames
-    alone: the disparity filter was fed with observations that were corrected by earlier
+    With D = ∂e/∂(b₀, c, a₆, ε, τ), where c are b₁, b₂ and the distortion field, and J = −∂e/∂ξ (and
+    −∂e/∂η, if the noise has a jitter), c, ε and τ are estimated from the joint normal equations,
+    from which motion and jitter are eliminated (Schur complement). a₆ is estimated from the rows,
+    and c is conditional on it. The solution need not be at the optimum, but it must use these two
+    frames alone: the disparity filter was fed with observations that were corrected by earlier
     calibrations, and would confirm these.
 
     Args:
@@ -81,6 +89,7 @@ def update_rig(
         tracks: the N tracks of the solution, corrected by ``rig``.
         solution: the motion from these two frames alone.
         camera: the rectified camera.
+        twists: the velocities at the two frames.
 
     Returns:
         The estimate after the step, and how errors of the one before it move the motion. Such an
@@ -90,14 +99,14 @@ def update_rig(
     # A loss that descends to zero may have rejected all features.
     if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
         return rig, CommonMode.none()
-    equations = _joint_equations(tracks, solution, camera)
+    equations = _joint_equations(tracks, solution, camera, twists)
     updated = _updated_rig(rig, solution, equations, novelty=tracks.novelty)
     return updated, _common_mode(rig, solution, equations)
 
 
 class _JointEquations(NamedTuple):
     """Normal equations of motion and jitter, (ξ, η), and of the R errors of the calibration, (b₀,
-    c, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of the log-likelihood by both.
+    c, a₆, ε, τ): [[H, −C], [−Cᵀ, B]], with the gradients of the log-likelihood by both.
 
     H is ``ReprojectionSolution.full_hessian``. C has a minus since J is the derivative of the
     prediction, and D that of the residual.
@@ -114,10 +123,10 @@ class _JointEquations(NamedTuple):
 
 
 def _joint_equations(
-    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera, twists: Twists
 ) -> _JointEquations:
     """Sum the normal equations over N tracks, with the robust weights of their solution."""
-    D = calibration_sensitivity(tracks, solution, camera)
+    D = calibration_sensitivity(tracks, solution, camera, twists)
     # w Σ⁻¹ (D, e): both at once.
     D_and_residual = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
     weighted = np.empty_like(D_and_residual)
@@ -150,7 +159,7 @@ def _updated_rig(
         equations: those of the step.
         novelty: of the step, see ``Tracks``.
     """
-    # Eliminate (ξ, η): the Schur complement on (b₀, c, a₆, ε) is B − Cᵀ H⁻¹ C, and its gradient
+    # Eliminate (ξ, η): the Schur complement on (b₀, c, a₆, ε, τ) is B − Cᵀ H⁻¹ C, and its gradient
     # g_rig + Cᵀ H⁻¹ g_motion. The step is that of (ξ, η) with the calibration held.
     C = equations.cross
     solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, equations.motion_gradient]))
@@ -168,6 +177,9 @@ def _updated_rig(
                 with_focal=information[_IMAGE, _EPSILON],
                 focal_information=information[_EPSILON, _EPSILON],
                 focal_gradient=gradient[_EPSILON],
+                with_readout=information[_IMAGE, _READOUT],
+                readout_information=information[_READOUT, _READOUT],
+                readout_gradient=gradient[_READOUT],
             )
         )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
@@ -198,7 +210,7 @@ def _common_mode(
         solution: the motion.
         equations: those of the step.
     """
-    # ∂ξ/∂(b₀, c, a₆, ε) = H⁻¹ C. The jitter is new in every frame and cannot absorb a constant
+    # ∂ξ/∂(b₀, c, a₆, ε, τ) = H⁻¹ C. The jitter is new in every frame and cannot absorb a constant
     # error, so it is held here.
     motion_gain = np.linalg.solve(solution.hessian, equations.cross[:6]).astype(float)
     # One root of the joint covariance, which is lower triangular: b moves the motion by itself and
@@ -207,6 +219,10 @@ def _common_mode(
     of_disparity = motion_gain[:, : _FIELD.stop] @ root[:, :3]
     distortion_gain = motion_gain[:, _FIELD]
     of_field = distortion_gain @ root[_FIELD, _FIELD]
+    # So does what is unknown of a readout time that is corrected.
+    if rig.image.readout_s:
+        of_readout = motion_gain[:, _READOUT] + motion_gain[:, _IMAGE] @ rig.image.shift_by_readout
+        of_field = np.column_stack([of_field, rig.image.readout.sigma_s * of_readout])
     # A wrong focal length moves the motion, and what was estimated of the image errors, too. It is
     # f b that a stereo calibration fixes by the size of its board, and a longer baseline makes the
     # motion longer.
@@ -251,11 +267,11 @@ def _updated_jitter(
 
 
 def calibration_sensitivity(
-    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera, twists: Twists
 ) -> FloatArray:
-    """Return ∂e/∂(b₀, b₁, b₂, field, a₆, ε), [N, 4, 5 + NUM_COEFFICIENTS], where the field has its
-    coefficients and ε is the error of log f (``camera.focal_length``)."""
-    sensitivity = np.empty((len(tracks), 4, 5 + NUM_COEFFICIENTS))
+    """Return ∂e/∂(b₀, b₁, b₂, field, a₆, ε, τ), [N, 4, 6 + NUM_COEFFICIENTS], where the field has
+    its coefficients, ε is the error of log f (``camera.focal_length``), and τ the readout time."""
+    sensitivity = np.empty((len(tracks), 4, 6 + NUM_COEFFICIENTS))
     intrinsics = Intrinsics.of(camera)
     of_disparity = np.empty((len(tracks), 4, 4))
     disparity_sensitivities(
@@ -287,5 +303,8 @@ def calibration_sensitivity(
     )
     focal_sensitivity(
         solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _EPSILON]
+    )
+    readout_sensitivity(
+        solution.T_curr_prev, twists, camera, solution.refined, sensitivity[:, :, _READOUT]
     )
     return sensitivity

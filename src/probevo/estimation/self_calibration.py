@@ -7,8 +7,9 @@ again once they are known:
 
 - Jitter. If the tracks show more jitter than expected, they are solved again with the larger
   covariance, as in the first frames of a rig that flexes more than the prior.
-- Delay. If the right camera is exposed at another time, its correction depends on the motion: the
-  tracks are corrected with the solved motion, and solved again.
+- Times. If the right camera is exposed at another time than the left one, or rows at other times
+  than the middle one, the correction depends on the motion: the tracks are corrected with the
+  solved motion, and solved again.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import Twists
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
@@ -136,19 +138,16 @@ class SelfCalibratingEstimator:
             seed: of RANSAC's samples; every repeated solve draws the same ones.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
-        found = self._solve_until_jitter_fits(corrected, phi, priors, seed=seed, clock=clock)
-        rig = corrected.rig
-        has_delay = rig is not None and is_noticeable(rig.delay.delay_s)
-        if found.visual.status is Status.OK and has_delay:
-            # A twist is the mean velocity of a step. Interpolate those of the last step and of this
-            # one to the velocities at its two frames; where that of the last step is not known, the
-            # delay has not been removed yet, and both are that of this step.
-            twist = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
-            twist_change = twist - last_twist if corrected.delay_s != 0.0 else np.zeros(6)
-            corrected = corrected.at_twists(
-                twist - 0.5 * twist_change, twist + 0.5 * twist_change, self._camera
+        last = last_twist if corrected.knows_velocity else None
+        found = self._solve_until_jitter_fits(
+            corrected, phi, priors, last, duration_s, seed=seed, clock=clock
+        )
+        if found.visual.status is Status.OK and _depends_on_velocity(corrected.rig):
+            twists = _twists(found.visual.accepted_solution, last, duration_s)
+            corrected = corrected.at_twists(twists.prev, twists.curr, self._camera)
+            found = self._solve_until_jitter_fits(
+                corrected, phi, priors, last, duration_s, seed=seed, clock=clock
             )
-            found = self._solve_until_jitter_fits(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is not Status.OK:
             # Keep the row offsets, which need no motion, and discard all else: the motion that it
             # depends on was rejected.
@@ -160,6 +159,8 @@ class SelfCalibratingEstimator:
         corrected: CorrectedTracks,
         phi: FloatArray,
         priors: MotionPriors,
+        last_twist: FloatArray | None,
+        duration_s: float,
         *,
         seed: Sequence[int],
         clock: StageClock,
@@ -189,7 +190,14 @@ class SelfCalibratingEstimator:
             # What the solve shows of the rig; solve again if that is more jitter than the solve
             # assumed.
             used = corrected.tracks.subset(visual.used)
-            updated, of_images = update_rig(rig, used, visual.two_frames_only, self._camera)
+            two_frames = visual.two_frames_only
+            updated, of_images = update_rig(
+                rig,
+                used,
+                two_frames,
+                self._camera,
+                _twists(two_frames, last_twist, duration_s),
+            )
             if not repeats_left or not updated.jitter.exceeds(jitter_cov):
                 break
             jitter_cov = updated.jitter.cov
@@ -218,6 +226,32 @@ class SelfCalibratingEstimator:
             # the new delay.
             return replace(prior, delay=rig.delay)
         return rig
+
+
+def _depends_on_velocity(rig: RigCalibration | None) -> bool:
+    """Return whether the correction of the tracks depends on the velocity of the camera."""
+    if rig is None:
+        return False
+    return is_noticeable(rig.delay.delay_s) or rig.image.readout_s != 0.0
+
+
+def _twists(
+    solution: ReprojectionSolution, last_twist: FloatArray | None, duration_s: float
+) -> Twists:
+    """Return the velocities at the two frames of a step.
+
+    A twist is the mean velocity of a step; those of the last step and of this one are interpolated
+    to the frames.
+
+    Args:
+        solution: the motion of the step.
+        last_twist: twist per second of the previous step, [6]; None if it is not known, and that of
+            this step stands for both.
+        duration_s: time between the two frames.
+    """
+    twist = se3.log(solution.T_curr_prev) / duration_s
+    twist_change = np.zeros(6) if last_twist is None else twist - last_twist
+    return Twists(prev=twist - 0.5 * twist_change, curr=twist + 0.5 * twist_change)
 
 
 def _held_by(

@@ -522,8 +522,8 @@ class VisualEstimator:
             noise = replace(noise, time_correlated=None)
         if noise_factor != 1.0:
             noise = noise.scaled(np.full(len(tracks), noise_factor))
-        if tracks.right_error_px is not None:
-            noise = noise.with_right_error(tracks.right_error_px)
+        if tracks.velocity_error_px is not None:
+            noise = noise.with_common_error(tracks.velocity_error_px)
         return noise
 
     def _reference_motion(self, solve: _Solve, priors: MotionPriors) -> FloatArray:

@@ -11,6 +11,7 @@ from scipy.special import ndtri
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import NOTICEABLE_S, ReadoutTime
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.clustered_regression import two_sided_p
@@ -127,7 +128,8 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
 
 
 def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
-    """Describe the errors of disparity and focal length that the self-calibration has estimated.
+    """Describe the errors of disparity, shutter and focal length that the self-calibration has
+    estimated.
 
     A constant offset cannot be distinguished from noise, and is not estimated.
     """
@@ -143,7 +145,25 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
         cure = "points at the sides seem too near or too far, as by uncorrected lens distortion."
         p_value = two_sided_p(value / spread, np.inf)
         quantities.append(Quantity(name, value, spread, "px", p_value=p_value, cure=cure))
-    return [*quantities, _focal_quantity(rig.focal.error())]
+    return [*quantities, _readout_quantity(rig.image.readout), _focal_quantity(rig.focal.error())]
+
+
+def _readout_quantity(readout: ReadoutTime) -> Quantity:
+    """Describe the time in which the rows of an image are exposed."""
+    value_ms = 1e3 * readout.mean_s
+    cure = (
+        f"the rows of an image are exposed one after the other, within {abs(value_ms):.1f} ms. The"
+        f" odometry corrects it beyond {1e3 * NOTICEABLE_S:.0f} ms, as well as the velocity of the"
+        " camera is known; a global shutter needs no correction."
+    )
+    return Quantity(
+        "readout of the rows",
+        value_ms,
+        1e3 * readout.sigma_s,
+        "ms",
+        p_value=two_sided_p(readout.mean_s / readout.sigma_s, np.inf),
+        cure=cure,
+    )
 
 
 def _focal_quantity(error: FocalLengthError) -> Quantity:

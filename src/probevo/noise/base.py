@@ -82,17 +82,16 @@ class StereoNoise:
             prev_scale=prev_scale,
         )
 
-    def with_right_error(self, error_px: FloatArray) -> StereoNoise:
-        """Return the noise with one more error of (u_r, v_r) in each of the two frames.
+    def with_common_error(self, error_px: FloatArray) -> StereoNoise:
+        """Return the noise with one more error of each observation in each of the two frames.
 
-        It is independent between the frames, and fully correlated between u_r and v_r.
+        It is independent between the frames, and fully correlated between the four coordinates of
+        an observation.
 
         Args:
-            error_px: its standard deviation, [N, 2], px.
+            error_px: its standard deviation, with the signs of a joint move, [N, 4], px.
         """
-        observation = np.zeros((len(error_px), 4))
-        observation[:, 2:] = error_px
-        cov = np.einsum("ni,nj->nij", observation, observation)
+        cov = np.einsum("ni,nj->nij", error_px, error_px)
         if self.refers_to == "residual":
             return replace(self, scale=self.scale + 2.0 * cov)
         prev_scale = None if self.prev_scale is None else self.prev_scale + cov

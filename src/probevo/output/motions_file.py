@@ -115,6 +115,7 @@ _OPTIONAL = {
     "fixed_features": _Optional((6,), _fixed, _fixed_as_array),
     "steps_at_rest": _Optional((4,), lambda array: StepsAtRest(*map(int, array.tolist()))),
     "right_delay_s": _Optional((), float),
+    "readout_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),
     "other_camera": _Optional(None, str),

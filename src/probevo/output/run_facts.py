@@ -54,6 +54,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         )
     if is_noticeable(result.right_delay_s):
         facts["Exposures"] = delay_text(result.right_delay_s)
+    if result.readout_s != 0.0:
+        facts["Shutter"] = readout_text(result.readout_s)
     if result.focal_length is not None and len(result) > 1:
         facts["Focal length"] = focal_text(result.focal_length)
     if result.imu_noise_factor is not None:
@@ -151,6 +153,15 @@ def delay_text(delay_s: float) -> str:
     return (
         f"right images are exposed {1e3 * abs(delay_s):.1f} ms {late} than left ones, which is"
         " corrected"
+    )
+
+
+def readout_text(readout_s: float) -> str:
+    """Describe the readout time of a rolling shutter, s."""
+    order = "first to the last" if readout_s > 0.0 else "last to the first"
+    return (
+        f"the shutter rolls: the rows of an image are exposed within {1e3 * abs(readout_s):.0f} ms,"
+        f" from the {order}, which is corrected"
     )
 
 

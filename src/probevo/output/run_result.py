@@ -168,6 +168,9 @@ class RunResult:
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row of an image to that of the last one, as it was
+    corrected at the end; negative if rows are read from the bottom."""
     focal_length: FocalLengthError | None = None
     """How far the focal length is off by the images; None without self-calibration."""
     right_late_frames: int = 0

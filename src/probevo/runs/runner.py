@@ -288,6 +288,7 @@ class _Records:
             fixed_features=self.fixed.total(),
             steps_at_rest=self.fixed.steps_at_rest,
             right_delay_s=0.0 if rig is None else rig.delay.delay_s,
+            readout_s=0.0 if rig is None else rig.image.readout_s,
             focal_length=None if rig is None else rig.focal.error(),
             smoothed=None if smoothed is None else smoothed.T_world_cam,
             smoothed_cov=None if smoothed is None else smoothed.cov,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import without_delay
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rolling_shutter import Twists, without_readout
 from probevo.camera.stereo import StereoCamera
 from probevo.tracking.tracks import Tracks
 
@@ -20,13 +21,16 @@ class CorrectedTracks:
     prior_rig: RigCalibration | None
     """The calibration before this frame; None without self-calibration."""
     simultaneous: Tracks
-    """With the exposure delay of the right camera removed, but otherwise raw."""
+    """With all places moved to the times of their frames: the exposure delay of the right camera
+    and the readout of the rows are removed, and nothing else."""
     tracks: Tracks
     """Corrected by all of the calibration."""
     rig: RigCalibration | None
     """The calibration, its row offsets updated by this frame's stereo matches."""
     delay_s: float
     """The exposure delay of the right camera that was removed; 0 while the velocity is unknown."""
+    knows_velocity: bool
+    """Whether the velocity at both frames is known, on which delay and readout depend."""
 
     @staticmethod
     def of(
@@ -48,14 +52,24 @@ class CorrectedTracks:
         """
         if rig is None:
             return CorrectedTracks(
-                raw, prior_rig=None, simultaneous=raw, tracks=raw, rig=None, delay_s=0.0
+                raw,
+                prior_rig=None,
+                simultaneous=raw,
+                tracks=raw,
+                rig=None,
+                delay_s=0.0,
+                knows_velocity=False,
             )
-        # What the delay moves depends on the velocity; while that is unknown, nothing is removed.
+        # What delay and readout move depends on the velocity; while that is unknown, nothing is
+        # removed.
         delay_s = 0.0
         simultaneous = raw
+        knows_velocity = prev_twist is not None and curr_twist is not None
         if prev_twist is not None and curr_twist is not None:
             delay_s = rig.delay.delay_s
-            simultaneous = _without_delay(raw, delay_s, camera, (prev_twist, curr_twist))
+            simultaneous = _at_times_of_frames(
+                raw, rig, camera=camera, twists=Twists(prev_twist, curr_twist)
+            )
         # Row offsets need no motion, so every frame updates them, accepted or not.
         updated = rig.with_rows(simultaneous.curr_px, camera, novelty=raw.novelty)
         return CorrectedTracks(
@@ -65,6 +79,7 @@ class CorrectedTracks:
             tracks=simultaneous.corrected(updated, camera),
             rig=updated,
             delay_s=delay_s,
+            knows_velocity=knows_velocity,
         )
 
     def at_twists(
@@ -80,23 +95,30 @@ class CorrectedTracks:
         )
 
 
-def _without_delay(
-    raw: Tracks, delay_s: float, camera: StereoCamera, twists: tuple[FloatArray, FloatArray]
+def _at_times_of_frames(
+    raw: Tracks, rig: RigCalibration, camera: StereoCamera, twists: Twists
 ) -> Tracks:
-    """Return the tracks with the exposure delay of the right camera removed, under the velocities
-    at the two frames, [6] each.
+    """Return the tracks with the exposure delay of the right camera and the readout of the rows
+    removed, under the velocities at the two frames.
 
     These are interpolated between the means of steps. A camera that shakes has others, by about as
-    much as the velocity changes in a step, and what the delay moves is wrong by that.
+    much as the velocity changes in a step, and what delay and readout move is wrong by that.
     """
-    if not delay_s:
+    if not rig.delay.delay_s and not rig.image.readout_s:
         return raw
-    prev_twist, curr_twist = twists
-    curr_px = without_delay(raw.curr_px, delay_s, curr_twist, camera)
-    of_other_frame = without_delay(raw.curr_px, delay_s, prev_twist, camera)
+    curr_px = _at_time_of_frame(raw.curr_px, rig, camera, twists.curr)
+    of_other_frame = _at_time_of_frame(raw.curr_px, rig, camera, twists.prev)
     return replace(
         raw,
-        prev_px=without_delay(raw.prev_px, delay_s, prev_twist, camera),
+        prev_px=_at_time_of_frame(raw.prev_px, rig, camera, twists.prev),
         curr_px=curr_px,
-        right_error_px=curr_px[:, 2:] - of_other_frame[:, 2:],
+        velocity_error_px=curr_px - of_other_frame,
     )
+
+
+def _at_time_of_frame(
+    pixels: FloatArray, rig: RigCalibration, camera: StereoCamera, twist: FloatArray
+) -> FloatArray:
+    """Return the observations [N, 4], px, of one frame, under the velocity there."""
+    of_one_time = without_delay(pixels, rig.delay.delay_s, twist, camera)
+    return without_readout(of_one_time, rig.image.readout_s, twist, camera)

@@ -45,9 +45,9 @@ class Tracks:
     """Covariance of each place in the left and in the right image of the current frame, by how its
     window matches the anchor patch, [N, 2, 2, 2], px²; ∞ where they have nothing in common. None
     if another front end has tracked the points."""
-    right_error_px: FloatArray | None = None
-    """Error of (u_r, v_r) that a correction of them may have left, one standard deviation, [N, 2],
-    px; None if nothing was corrected by a quantity that is itself uncertain in each frame."""
+    velocity_error_px: FloatArray | None = None
+    """Error that a correction by the velocity of the camera may have left, one standard deviation,
+    [N, 4], px; None if nothing was corrected by it."""
 
     @property
     def are_aligned(self) -> bool:
@@ -99,7 +99,9 @@ class Tracks:
             alignment_cov_px2=(
                 None if self.alignment_cov_px2 is None else self.alignment_cov_px2[keep]
             ),
-            right_error_px=None if self.right_error_px is None else self.right_error_px[keep],
+            velocity_error_px=(
+                None if self.velocity_error_px is None else self.velocity_error_px[keep]
+            ),
         )
 
     def corrected_for_window(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:

@@ -90,6 +90,15 @@ class Effects(Settings):
             "Rectification error: 1 rotates the right camera so that corners are off by about 1 px."
         ),
     )
+    rolling_shutter: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description=(
+            "Rolling shutter: the last row of an image is exposed 60 ms times this after the first;"
+            " a frame has the time and the true pose of the middle row."
+        ),
+    )
 
 
 class Daylight(Settings):

@@ -48,7 +48,7 @@ def add_radiance(
     """
     offsets_px = sampling.offsets_px
     footprint_px = sampling.footprint_px
-    rays = _packet()
+    rays = _packet(image.shape[0])
     for top in range(0, image.shape[0], PATCH_PX):
         for left in range(0, image.shape[1], PATCH_PX):
             cell = top // PATCH_PX * candidates.columns + left // PATCH_PX
@@ -98,7 +98,7 @@ def first_hits(
         depth_m: filled with the depth along the camera's axis, [height, width].
         hits: filled with the index of a solid, GROUND or SKY, [height, width].
     """
-    rays = _packet()
+    rays = _packet(depth_m.shape[0])
     for top in range(0, depth_m.shape[0], PATCH_PX):
         for left in range(0, depth_m.shape[1], PATCH_PX):
             cell = top // PATCH_PX * candidates.columns + left // PATCH_PX
@@ -119,9 +119,12 @@ def first_hits(
 
 
 @compiled
-def _packet() -> Rays:
-    """Return memory for the rays of one patch, row by row."""
-    n = PATCH_PX * PATCH_PX
+def _packet(height_px: int) -> Rays:
+    """Return memory for the rays of one patch of an image, row by row.
+
+    Patches have as many rows as an image that is lower, such as a few rows of a rolling shutter.
+    """
+    n = min(height_px, PATCH_PX) * PATCH_PX
     return Rays(
         x=np.empty(n),
         y=np.empty(n),
@@ -149,7 +152,7 @@ def _cast(
     Returns the end, in ``candidates.solids``, of the solids that were tested: those after it lie
     behind all that is seen.
     """
-    for row in range(PATCH_PX):
+    for row in range(len(rays.x) // PATCH_PX):
         for column in range(PATCH_PX):
             rays.x[row * PATCH_PX + column] = (left_px + column - view.cu_px) / view.focal_px
             rays.y[row * PATCH_PX + column] = (top_px + row - view.cv_px) / view.focal_px

@@ -19,6 +19,10 @@ from probevo_sim.scene.world import World
 
 FULL_SHUTTER_S = 0.05
 """Exposure time at full motion blur."""
+FULL_READOUT_S = 0.06
+"""Time from the first row of an image to the last one, at full rolling shutter."""
+ROWS_AT_ONCE = 2
+"""Rows of a rolling shutter that are rendered as of one time."""
 OFFSETS_PX = np.array([[-0.375, -0.125], [-0.125, 0.375], [0.125, -0.375], [0.375, 0.125]])
 """Rays through a pixel, (u, v) from its centre: each in a column and a row of its own."""
 FOOTPRINT_PX = 0.5
@@ -65,7 +69,8 @@ class Renderer:
         world: what there is to see.
         trajectory: motion of the left camera.
         camera: the rig as its calibration describes it, with square pixels.
-        effects: the degradations; the renderer looks at blur, shadows and rectification.
+        effects: the degradations; the renderer looks at blur, shadows, rolling
+            shutter and rectification.
 
     Raises:
         ValueError: the camera has no size.
@@ -110,17 +115,41 @@ class Renderer:
             offsets_px: rays through a pixel, [K, 2].
             images: left and right, [2, height, width].
         """
+        readout_s = FULL_READOUT_S * self.effects.rolling_shutter
+        if readout_s == 0.0:
+            self._add_rows(t_s, offsets_px, images)
+            return
+        # The middle row is exposed at the time of the frame.
+        height = self.size_px[1]
+        for top in range(0, height, ROWS_AT_ONCE):
+            rows = images[:, top : top + ROWS_AT_ONCE]
+            middle = top + 0.5 * (rows.shape[1] - 1)
+            row_time_s = t_s + readout_s * (middle / (height - 1) - 0.5)
+            self._add_rows(row_time_s, offsets_px, rows, top=top)
+
+    def _add_rows(
+        self, t_s: float, offsets_px: FloatArray, images: FloatImage, top: int = 0
+    ) -> None:
+        """Add the radiance of some rays per pixel at one instant to rows of both images.
+
+        Args:
+            t_s: the instant.
+            offsets_px: rays through a pixel, [K, 2].
+            images: these rows of left and right image, [2, rows, width].
+            top: the first of these rows.
+        """
         T_world_left = self.trajectory.T_world_cam(t_s)
         T_world_object = self.world.poses(t_s, T_world_left)
+        size_px = (images.shape[2], images.shape[1])
         occluders = None
         for image, T_left_cam in zip(images, (np.eye(4), self._T_left_right), strict=True):
-            view = self._view(T_world_object, T_world_left @ T_left_cam)
+            view = self._view(T_world_object, T_world_left @ T_left_cam, top=top)
             if occluders is None:  # around the left camera, for both images
                 occluders = shadow_candidates(self._scene, view)
             add_radiance(
                 self._scene,
                 view,
-                image_candidates(self._scene, view, self.size_px),
+                image_candidates(self._scene, view, size_px),
                 occluders=occluders,
                 time_s=t_s,
                 sampling=PixelSampling(offsets_px, FOOTPRINT_PX),
@@ -181,8 +210,9 @@ class Renderer:
             moving=objects > 0,
         )
 
-    def _view(self, T_world_object: FloatArray, T_world_cam: FloatArray) -> View:
-        intrinsics = (self.camera.fu_px, self.camera.cu_px, self.camera.cv_px)
+    def _view(self, T_world_object: FloatArray, T_world_cam: FloatArray, top: int = 0) -> View:
+        """Return the view from a camera whose image begins at row ``top``."""
+        intrinsics = (self.camera.fu_px, self.camera.cu_px, self.camera.cv_px - top)
         return view_from(self.world, T_world_object, T_world_cam, intrinsics=intrinsics)
 
 

@@ -105,7 +105,6 @@ REFUSED: dict[str, tuple[str, str, Any, str]] = {
     "omni": ("cam1", "camera_model", "omni", "omnidirectional"),
     "extended unified": ("cam0", "camera_model", "eucm", "extended unified"),
     "field of view": ("cam0", "distortion_model", "fov", "field of view"),
-    "rolling shutter": ("cam0", "line_delay", 2e-5, "rolling shutter"),
     "no size": ("cam0", "resolution", [64], "expected 1×2"),
     "no rotation": ("cam1", "T_cn_cnm1", np.diag([2.0, 1, 1, 1]).tolist(), "T_cn_cnm1"),
     "text": ("cam0", "intrinsics", "wide", "not a list of numbers"),

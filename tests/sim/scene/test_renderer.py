@@ -12,7 +12,7 @@ from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.geometry import se3
 from probevo_sim.scene.config import Effects, PresetName, SceneConfig
 from probevo_sim.scene.recording import open_scene
-from probevo_sim.scene.renderer import FULL_SHUTTER_S, Renderer
+from probevo_sim.scene.renderer import FULL_READOUT_S, FULL_SHUTTER_S, ROWS_AT_ONCE, Renderer
 from probevo_sim.scene.sensor import expose
 from probevo_sim.scene.solids import BOX, join, solid
 from probevo_sim.scene.textures import Texture
@@ -224,3 +224,17 @@ def test_same_instant_same_bytes() -> None:
 def test_a_camera_without_a_size_is_refused() -> None:
     with pytest.raises(ValueError, match="size_px"):
         Renderer(world(), trajectory(), replace(CAMERA, size_px=None), effects=Effects())
+
+
+def test_the_rows_of_a_rolling_shutter_are_of_their_own_times() -> None:
+    """Each pair of rows is that of a global shutter at its time; the middle is that of the
+    frame."""
+    rolling = renderer(rolling_shutter=0.5).pair(1.0)
+    height = CAMERA.size_px[1] if CAMERA.size_px else 0
+    for top in (0, 62, 126):
+        late_s = 0.5 * FULL_READOUT_S * ((top + 0.5) / (height - 1) - 0.5)
+        rows = slice(top, top + ROWS_AT_ONCE)
+        for found, expected in zip(rolling, renderer().pair(1.0 + late_s), strict=True):
+            np.testing.assert_allclose(found[rows], expected[rows], atol=1e-5)
+    of_row_63_s = 0.5 * FULL_READOUT_S * (63.0 / (height - 1) - 0.5)
+    assert abs(of_row_63_s) < 2e-4

@@ -92,7 +92,7 @@ def _pinhole(camera: CalibrationContent) -> PinholeCamera:
     """Return a camera for the rectification.
 
     Raises:
-        InputError: its model is not supported, its shutter rolls, or a key is missing.
+        InputError: its model is not supported, or a key is missing.
     """
     model = camera.text("camera_model")
     if model != "pinhole":
@@ -100,9 +100,6 @@ def _pinhole(camera: CalibrationContent) -> PinholeCamera:
     distortion_model = camera.text("distortion_model")
     if distortion_model not in MODELS:
         _refuse_model(camera, "distortion_model", distortion_model)
-    if "line_delay" in camera and camera.number("line_delay") != 0.0:
-        what = "a rolling shutter is not supported: the rows of an image have different times."
-        raise InputError(camera.where("line_delay"), what, "Use cameras with a global shutter.")
     fu, fv, cu, cv = camera.matrix("intrinsics", 1, 4)[0].tolist()
     is_distorted = distortion_model != "none"
     return PinholeCamera(
