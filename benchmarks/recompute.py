@@ -141,6 +141,13 @@ FIGURES = (
         minutes=15,
     ),
     Figure(
+        "rolling-shutter",
+        ("docs/degradation.md",),
+        "python benchmarks/rolling_shutter.py",
+        minutes=12,
+        needs_data=True,
+    ),
+    Figure(
         "window-consistency",
         ("docs/window.md",),
         "python benchmarks/window_consistency.py --only points city residential rover"

@@ -170,6 +170,16 @@ class ImageErrors:
         return shift
 
     @property
+    def distortion_shift_by_readout(self) -> FloatArray:
+        """The part of the distortion field in it, [NUM_COEFFICIENTS], px/s."""
+        return self.shift_by_readout[_DISTORTION]
+
+    @property
+    def readout_sigma_s(self) -> float:
+        """Standard deviation of the readout time that is corrected; 0 where none is."""
+        return self.readout.sigma_s if self.readout_s else 0.0
+
+    @property
     def readout(self) -> ReadoutTime:
         """The readout time by what is seen of it, whether or not it is corrected."""
         # The joint posterior of c and the readout time, of which c is eliminated.

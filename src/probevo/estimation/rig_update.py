@@ -53,6 +53,8 @@ class CommonMode(NamedTuple):
     """∂ξ/∂(coefficients of the distortion field), [6, NUM_COEFFICIENTS], m/px and rad/px."""
     focal_gain: FloatArray
     """∂ξ/∂ε, f b being held, [6], m and rad."""
+    readout_gain: FloatArray
+    """∂ξ/∂τ of the readout time, [6], m/s and rad/s."""
 
     def times(self, matrix: FloatArray) -> CommonMode:
         """Return that of a motion whose error is a matrix, [6, 6], times the error of this one."""
@@ -62,7 +64,10 @@ class CommonMode(NamedTuple):
     def none() -> CommonMode:
         """Return that of a motion on which no calibration has an influence."""
         return CommonMode(
-            np.zeros((6, COMMON_MODE_COLUMNS)), np.zeros((6, NUM_COEFFICIENTS)), np.zeros(6)
+            np.zeros((6, COMMON_MODE_COLUMNS)),
+            distortion_gain=np.zeros((6, NUM_COEFFICIENTS)),
+            focal_gain=np.zeros(6),
+            readout_gain=np.zeros(6),
         )
 
 
@@ -220,9 +225,9 @@ def _common_mode(
     distortion_gain = motion_gain[:, _FIELD]
     of_field = distortion_gain @ root[_FIELD, _FIELD]
     # So does what is unknown of a readout time that is corrected.
-    if rig.image.readout_s:
+    if rig.image.readout_sigma_s:
         of_readout = motion_gain[:, _READOUT] + motion_gain[:, _IMAGE] @ rig.image.shift_by_readout
-        of_field = np.column_stack([of_field, rig.image.readout.sigma_s * of_readout])
+        of_field = np.column_stack([of_field, rig.image.readout_sigma_s * of_readout])
     # A wrong focal length moves the motion, and what was estimated of the image errors, too. It is
     # f b that a stereo calibration fixes by the size of its board, and a longer baseline makes the
     # motion longer.
@@ -235,6 +240,7 @@ def _common_mode(
         ),
         distortion_gain=distortion_gain,
         focal_gain=focal_gain,
+        readout_gain=motion_gain[:, _READOUT],
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
+from probevo.estimation.rig_update import CommonMode
 from probevo.estimation.window.distortion_effect import DistortionEffect
 from probevo.geometry import se3
 from worlds import FORWARD, image_errors
@@ -17,6 +18,19 @@ STEPS = 5
 def of_lenses(distortion_px: FloatArray) -> ImageErrors:
     """Return an estimate of a field that is the same everywhere (``window.field_variation``)."""
     return replace(image_errors(distortion_px=distortion_px), distortion_sigma_px=0.0)
+
+
+def moves(
+    distortion_gain: FloatArray,
+    focal_gain: FloatArray | None = None,
+    readout_gain: FloatArray | None = None,
+) -> CommonMode:
+    """Return how errors of the calibration move a step."""
+    return CommonMode.none()._replace(
+        distortion_gain=distortion_gain,
+        focal_gain=np.zeros(6) if focal_gain is None else focal_gain,
+        readout_gain=np.zeros(6) if readout_gain is None else readout_gain,
+    )
 
 
 def walked(
@@ -30,7 +44,7 @@ def walked(
     errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     for gain, used_px in zip(gains, used, strict=True):
         effect = effect.carried_to_new(-1, FORWARD)
-        effect = effect.with_step(gain, np.zeros(6), used_px=used_px, errors=errors)
+        effect = effect.with_step(moves(gain), used=of_lenses(used_px), errors=errors)
     return effect, gains, used, errors
 
 
@@ -77,14 +91,48 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
             gain = sign * rng.normal(size=(6, NUM_COEFFICIENTS))
             focal_gain = sign * np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
             effect = effect.carried_to_new(-1, FORWARD)
-            effect = effect.with_step(
-                gain, focal_gain, used_px=np.zeros(NUM_COEFFICIENTS), errors=errors
-            )
+            effect = effect.with_step(moves(gain, focal_gain), used=errors, errors=errors)
             moved = focal_gain + gain @ errors.distortion_shift_by_focal
             expected = adjoint @ expected + moved
         claimed = effect.of_pose(2) - effect.sensitivity[2] @ effect.cov @ effect.sensitivity[2].T
         expected *= errors.focal_rms
         np.testing.assert_allclose(claimed, np.outer(expected, expected), atol=1e-12, err_msg=turns)
+
+
+def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
+    """Against errors g_k (τ − τ_k) + G_k (c − ĉ) of single steps, for 20,000 readout times of the
+    newest estimate, along which the field moves."""
+    rng = np.random.default_rng(5)
+    known = of_lenses(np.zeros(NUM_COEFFICIENTS))
+    known = replace(known, cov=1e-12 * np.eye(len(known.mean)))
+    with_readout = 1e11 * rng.normal(size=len(known.mean))
+    noticed = replace(known, readout_seen=1e13, with_readout=with_readout, readout_s=0.02)
+    noticed = replace(noticed, readout_seen=1e6 - with_readout @ noticed.shift_by_readout)
+    sigma_s = noticed.readout_sigma_s
+    assert 5e-4 < sigma_s < 2e-3
+    readout_s = 0.02 + sigma_s * rng.normal(size=20_000)
+    fields = np.outer(readout_s - 0.02, noticed.distortion_shift_by_readout)
+    adjoint = se3.adjoint(FORWARD)
+    effect = DistortionEffect.none()
+    error = np.zeros((len(readout_s), 6))
+    for k in range(STEPS):
+        used = known if k < 3 else noticed
+        gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
+        readout_gain = rng.normal(size=6)
+        effect = effect.carried_to_new(-1, FORWARD)
+        effect = effect.with_step(moves(gain, readout_gain=readout_gain), used=used, errors=noticed)
+        error = error @ adjoint.T + fields @ gain.T
+        error += np.outer(readout_s - used.readout_s, readout_gain)
+    claimed = effect.of_pose(STEPS)
+    sigma = np.sqrt(np.diagonal(claimed))
+    sampled = error.T @ error / len(error)
+    np.testing.assert_allclose(
+        sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
+    )
+    # Until it is noticed, the shutter is taken for a global one.
+    effect = DistortionEffect.none().carried_to_new(-1, FORWARD)
+    effect = effect.with_step(moves(gain, readout_gain=readout_gain), used=known, errors=known)
+    np.testing.assert_allclose(effect.of_pose(1), gain @ known.distortion_cov @ gain.T, atol=1e-18)
 
 
 def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
@@ -95,7 +143,7 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
     for _ in range(STEPS):
         effect = effect.carried_to_new(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
-        effect = effect.with_step(gain, np.zeros(6), used_px=errors.distortion, errors=errors)
+        effect = effect.with_step(moves(gain), used=errors, errors=errors)
     np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
 
 

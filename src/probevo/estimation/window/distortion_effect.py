@@ -1,4 +1,4 @@
-"""What an error of the distortion field does to the poses of a window.
+"""What errors of the distortion field and of the readout time do to the poses of a window.
 
 The window is handed tracks that are corrected by the field, and does not estimate it. The field of
 the lenses is c; that of step k was corrected by ĉ_k, so that its motion is off by G_k (c − ĉ_k),
@@ -17,6 +17,11 @@ than what they were corrected by. Not all of the field is that of the lenses
 The focal length is not corrected. An error ε of its logarithm moves each motion by the gain ∂ξ/∂ε,
 which adds up to F_k as G_k does to S_k, and moves the estimate of c by ∂c/∂ε, so that the second
 moment has the term E[ε²] (F_k + S_k ∂c/∂ε)(…)ᵀ besides.
+
+The readout time τ of a rolling shutter (``camera.rolling_shutter``) is corrected from the frame on
+in which it is noticeable. Like c, it has a gain, which adds up to R_k, and corrections, which add
+up to r_k; so poses before that frame are known to be off by R_k τ̂ − r_k. For a global shutter, all
+of this is zero.
 """
 
 from __future__ import annotations
@@ -28,6 +33,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
+from probevo.estimation.rig_update import CommonMode
 from probevo.estimation.window.field_variation import POSE, FieldVariation
 from probevo.geometry import se3
 
@@ -50,6 +56,16 @@ class DistortionEffect:
     """∂c/∂ε, [NUM_COEFFICIENTS], px."""
     focal_rms: float
     """Root mean square of ε."""
+    readout_sensitivity: FloatArray
+    """R_k of each, [K, 6], m/s and rad/s."""
+    readout_corrected: FloatArray
+    """r_k of each, [K, 6], m and rad."""
+    readout_s: float
+    """τ̂; 0 until it is noticeable."""
+    readout_sigma_s: float
+    """Its standard deviation; 0 until it is noticeable."""
+    shift_by_readout: FloatArray
+    """∂c/∂τ, [NUM_COEFFICIENTS], px/s."""
     variation: FieldVariation
     """The part of the field that changes from place to place."""
     sigma_px: float
@@ -66,6 +82,11 @@ class DistortionEffect:
             focal_sensitivity=np.zeros((1, POSE)),
             shift_by_focal=np.zeros(NUM_COEFFICIENTS),
             focal_rms=0.0,
+            readout_sensitivity=np.zeros((1, POSE)),
+            readout_corrected=np.zeros((1, POSE)),
+            readout_s=0.0,
+            readout_sigma_s=0.0,
+            shift_by_readout=np.zeros(NUM_COEFFICIENTS),
             variation=FieldVariation.none(),
             sigma_px=0.0,
         )
@@ -77,44 +98,53 @@ class DistortionEffect:
             sensitivity=self.sensitivity[frames],
             corrected=self.corrected[frames],
             focal_sensitivity=self.focal_sensitivity[frames],
+            readout_sensitivity=self.readout_sensitivity[frames],
+            readout_corrected=self.readout_corrected[frames],
             variation=self.variation.subset(frames),
         )
 
     def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> DistortionEffect:
         """Return the effect with one more frame, whose motion from another, [4, 4], adds none."""
         adjoint = se3.adjoint(T_curr_prev)
+
+        def carried(of_frames: FloatArray) -> FloatArray:
+            return np.concatenate([of_frames, (adjoint @ of_frames[prev])[None]])
+
         return replace(
             self,
-            sensitivity=np.concatenate([self.sensitivity, adjoint @ self.sensitivity[prev][None]]),
-            corrected=np.concatenate([self.corrected, (adjoint @ self.corrected[prev])[None]]),
-            focal_sensitivity=np.concatenate(
-                [self.focal_sensitivity, (adjoint @ self.focal_sensitivity[prev])[None]]
-            ),
+            sensitivity=carried(self.sensitivity),
+            corrected=carried(self.corrected),
+            focal_sensitivity=carried(self.focal_sensitivity),
+            readout_sensitivity=carried(self.readout_sensitivity),
+            readout_corrected=carried(self.readout_corrected),
             variation=self.variation.carried_to_new(prev, T_curr_prev),
         )
 
     def with_step(
         self,
-        gain: FloatArray,
-        focal_gain: FloatArray,
+        motion: CommonMode,
         *,
-        used_px: FloatArray,
+        used: ImageErrors,
         errors: ImageErrors,
     ) -> DistortionEffect:
         """Return the effect with that of the last step added, and with the newest estimate.
 
         Args:
-            gain: G of the step, [6, NUM_COEFFICIENTS].
-            focal_gain: ∂ξ/∂ε of the step, [6].
-            used_px: the coefficients by which its tracks were corrected, [NUM_COEFFICIENTS], px.
+            motion: how errors of the calibration move the step.
+            used: the estimate by which its tracks were corrected.
             errors: the estimate after the step.
         """
+        gain = motion.distortion_gain
         sensitivity = self.sensitivity.copy()
         sensitivity[-1] += gain
         corrected = self.corrected.copy()
-        corrected[-1] += gain @ used_px
+        corrected[-1] += gain @ used.distortion
         focal_sensitivity = self.focal_sensitivity.copy()
-        focal_sensitivity[-1] += focal_gain
+        focal_sensitivity[-1] += motion.focal_gain
+        readout_sensitivity = self.readout_sensitivity.copy()
+        readout_sensitivity[-1] += motion.readout_gain
+        readout_corrected = self.readout_corrected.copy()
+        readout_corrected[-1] += motion.readout_gain * used.readout_s
         return DistortionEffect(
             sensitivity=sensitivity,
             corrected=corrected,
@@ -123,6 +153,11 @@ class DistortionEffect:
             focal_sensitivity=focal_sensitivity,
             shift_by_focal=errors.distortion_shift_by_focal,
             focal_rms=errors.focal_rms,
+            readout_sensitivity=readout_sensitivity,
+            readout_corrected=readout_corrected,
+            readout_s=errors.readout_s,
+            readout_sigma_s=errors.readout_sigma_s,
+            shift_by_readout=errors.distortion_shift_by_readout,
             variation=self.variation.with_step(gain),
             sigma_px=errors.distortion_sigma_px,
         )
@@ -130,27 +165,48 @@ class DistortionEffect:
     def of_pose(self, slot: int) -> FloatArray:
         """Return the second moment of the error of a pose, [6, 6]."""
         of_lenses = self._second_moment(
-            self.sensitivity[slot], self.corrected[slot], self.focal_sensitivity[slot]
+            self.sensitivity[slot],
+            self.corrected[slot],
+            self.focal_sensitivity[slot],
+            readout_sensitivity=self.readout_sensitivity[slot],
+            readout_corrected=self.readout_corrected[slot],
         )
         return of_lenses + self.variation.of_pose(slot, self.sigma_px)
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
         """Return that of the motion between two frames, with its adjoint, [6, 6]."""
+
+        def difference(of_frames: FloatArray) -> FloatArray:
+            return np.asarray(of_frames[slot] - adjoint @ of_frames[other])
+
         return self._second_moment(
-            self.sensitivity[slot] - adjoint @ self.sensitivity[other],
-            self.corrected[slot] - adjoint @ self.corrected[other],
-            self.focal_sensitivity[slot] - adjoint @ self.focal_sensitivity[other],
+            difference(self.sensitivity),
+            difference(self.corrected),
+            difference(self.focal_sensitivity),
+            readout_sensitivity=difference(self.readout_sensitivity),
+            readout_corrected=difference(self.readout_corrected),
         )
 
     def _second_moment(
-        self, sensitivity: FloatArray, corrected: FloatArray, focal_sensitivity: FloatArray
+        self,
+        sensitivity: FloatArray,
+        corrected: FloatArray,
+        focal_sensitivity: FloatArray,
+        *,
+        readout_sensitivity: FloatArray,
+        readout_corrected: FloatArray,
     ) -> FloatArray:
-        """Return the second moment of S c − s + F ε, [6, 6]."""
+        """Return the second moment of S c − s + F ε + R τ − r, [6, 6]."""
         left = sensitivity @ self.mean - corrected
+        left += readout_sensitivity * self.readout_s - readout_corrected
         of_focal = self.focal_rms * (focal_sensitivity + sensitivity @ self.shift_by_focal)
+        of_readout = self.readout_sigma_s * (
+            readout_sensitivity + sensitivity @ self.shift_by_readout
+        )
         moment: FloatArray = (
             sensitivity @ self.cov @ sensitivity.T
             + np.outer(left, left)
             + np.outer(of_focal, of_focal)
+            + np.outer(of_readout, of_readout)
         )
         return moment

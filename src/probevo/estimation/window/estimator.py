@@ -118,12 +118,9 @@ class WindowEstimator:
         )
         if solved.corrected.rig is None or solved.rig is None:
             return after
-        # The motion was solved from tracks that were corrected by the field before the step.
+        # The motion was solved from tracks that were corrected by the estimate before the step.
         distortion = after.distortion.with_step(
-            solved.common_mode.distortion_gain,
-            solved.common_mode.focal_gain,
-            used_px=solved.corrected.rig.image.distortion,
-            errors=solved.rig.image,
+            solved.common_mode, used=solved.corrected.rig.image, errors=solved.rig.image
         )
         return replace(after, distortion=distortion)
 
