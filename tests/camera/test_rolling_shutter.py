@@ -77,7 +77,7 @@ def test_without_a_size_the_principal_point_is_in_the_middle() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_readout_counts_where_it_exceeds_noise_and_other_errors(sign: float) -> None:
-    sure_s = 0.001
+    sure_s = 0.1 * NOTICEABLE_S
     assert (
         ReadoutTime(sign * 1.01 * NOTICEABLE_S, sure_s).noticeable_s == sign * 1.01 * NOTICEABLE_S
     )
