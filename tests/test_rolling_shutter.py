@@ -1,5 +1,7 @@
 """A rolling shutter that nobody has told of is found in the images, and what it moves corrected."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,18 @@ def test_a_readout_of_48_ms_is_found_and_corrected(
     assert uncorrected.readout_s == 0.0
     error_m = second_half_error_m(rolling, steps)
     assert error_m < 0.5 * second_half_error_m(rolling, as_if_global)
+
+
+def test_a_readout_that_is_known_is_corrected_from_the_start(rolling: Drive) -> None:
+    """The whole way is then as exact as what comes behind the frame in which it is found
+    otherwise."""
+    recording, frames = rolling
+    camera = replace(recording.camera, readout_s=READOUT_S)
+    image, steps = driven((replace(recording, camera=camera), frames), "window")
+    assert image.readout.mean_s == pytest.approx(READOUT_S, rel=0.05)
+    assert recording.truth is not None
+    end = se3.inverse(recording.truth.T_world_cam[0]) @ recording.truth.T_world_cam[-1]
+    assert np.linalg.norm(steps[-1].T_world_cam[:3, 3] - end[:3, 3]) < 0.05
 
 
 def test_a_global_shutter_is_left_alone() -> None:

@@ -192,11 +192,7 @@ class StereoOdometry:
     @property
     def rig(self) -> RigCalibration | None:
         """The estimated errors of the rectification; None without self-calibration."""
-        if self._state is None:
-            if not self.config.self_calibration:
-                return None
-            return RigCalibration.initial(self._initial_jitter())
-        return self._state.rig
+        return self._initial_rig() if self._state is None else self._state.rig
 
     @property
     def gyro_bias(self) -> GyroBias | None:
@@ -246,16 +242,19 @@ class StereoOdometry:
             config=self.config,
             num_columns=len(self.predictors.columns),
             sensor_names=self._suite.names,
-            jitter=self._initial_jitter(),
+            rig=self._initial_rig(),
         )
 
-    def _initial_jitter(self) -> RigJitter:
-        """Return the prior of the rig's jitter: learned with the noise model, or else a wide
-        one."""
+    def _initial_rig(self) -> RigCalibration | None:
+        """Return the prior of the rig's errors, with the jitter learned with the noise model, or
+        else a wide one; None without self-calibration."""
+        if not self.config.self_calibration:
+            return None
+        jitter = RigJitter.initial()
         learned = learned_jitter_cov(self.noise)
-        if learned is None:
-            return RigJitter.initial()
-        return RigJitter.initial(learned, LEARNED_FRAMES)
+        if learned is not None:
+            jitter = RigJitter.initial(learned, LEARNED_FRAMES)
+        return RigCalibration.initial(jitter, self.camera.readout_s)
 
     def _observe(self, prediction: Prediction, clock: StageClock) -> Observed:
         """Track the features into the frame, correct them for the rig, and compute predictors."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
-from probevo.camera.rig_jitter import RigJitter
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import MotionEstimate, Status
@@ -123,7 +122,7 @@ class OdometryState:
         config: OdometryConfig,
         num_columns: int,
         sensor_names: Sequence[str] = (),
-        jitter: RigJitter | None = None,
+        rig: RigCalibration | None = None,
     ) -> OdometryState:
         """Return the state after the first frame.
 
@@ -134,13 +133,13 @@ class OdometryState:
             config: all settings.
             num_columns: M of the prediction space.
             sensor_names: of the sensors beside the camera.
-            jitter: the prior of the rig's jitter; by default that of an unknown rig.
+            rig: the prior of the rig's errors; None without self-calibration.
         """
         return OdometryState(
             frame=frame,
             tracking=tracking,
             observations=ObservationStore().with_frame(tracking.observations(frame)),
-            rig=RigCalibration.initial(jitter) if config.self_calibration else None,
+            rig=rig,
             gyro_bias=GyroBias.initial(imu) if imu else None,
             motion_model=MotionModel.at_start(config.motion_model),
             disparities=DisparityFilter.none(),

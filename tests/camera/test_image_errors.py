@@ -13,7 +13,7 @@ from probevo.camera.image_errors import (
     ImageEquations,
     ImageErrors,
 )
-from probevo.camera.rolling_shutter import READOUT_SIGMA_S
+from probevo.camera.rolling_shutter import KNOWN_SIGMA_S, READOUT_SIGMA_S
 
 
 def equations(information: FloatArray, gradient: FloatArray) -> ImageEquations:
@@ -208,6 +208,16 @@ def test_the_readout_time_is_that_of_one_least_squares_problem(readout_s: float)
     else:  # the errors of the images, given that the shutter is global
         given = np.linalg.solve(information[:-1, :-1], moment[:-1])
         np.testing.assert_allclose(errors.mean, given, atol=1e-9)
+
+
+def test_a_readout_that_the_calibration_gives_is_corrected_before_anything_is_seen() -> None:
+    errors = ImageErrors.initial(readout_s=0.025)
+    assert errors.readout_s == 0.025
+    np.testing.assert_allclose(errors.readout, (0.025, KNOWN_SIGMA_S))
+    nothing = np.zeros((NUM_ERRORS, NUM_ERRORS))
+    after = errors.with_step(equations(nothing, np.zeros(NUM_ERRORS)))
+    assert after.readout_s == pytest.approx(0.025, rel=1e-12)
+    np.testing.assert_allclose(ImageErrors.initial().readout, (0.0, READOUT_SIGMA_S))
 
 
 def test_another_radial_error_keeps_the_errors_those_of_the_readout_that_is_corrected() -> None:

@@ -59,6 +59,14 @@ def test_kitti_raw_with_its_imu_becomes_a_folder(tmp_path: Path) -> None:
     assert open_sequence(tmp_path / "folder").imu is not None
 
 
+def test_a_folder_keeps_the_readout_of_its_shutter(tmp_path: Path) -> None:
+    original = write_folder_sequence(tmp_path / "original", imu=False)
+    with (original / "calib.yaml").open("a") as file:
+        file.write("readout_s: 0.025\n")
+    assert main(["convert", str(original), "--out", str(tmp_path / "folder")]) == 0
+    assert open_sequence(tmp_path / "folder").camera.readout_s == 0.025
+
+
 @pytest.mark.data
 @pytest.mark.slow
 def test_kitti_runs_to_the_same_bytes_in_each_format(data_root: Path, tmp_path: Path) -> None:

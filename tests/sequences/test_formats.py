@@ -171,6 +171,14 @@ def test_folder_accelerometer_noise_is_read(tmp_path: Path) -> None:
     assert [getattr(imu, key) for key in ACCEL_KEYS] == [1.0, 2.0, 3.0]
 
 
+def test_folder_knows_the_readout_of_its_shutter(tmp_path: Path) -> None:
+    write_folder_sequence(tmp_path, imu=False)
+    assert open_sequence(tmp_path).camera.readout_s == 0.0
+    with (tmp_path / "calib.yaml").open("a") as file:
+        file.write("readout_s: 0.025\n")
+    assert open_sequence(tmp_path).camera.readout_s == 0.025
+
+
 def test_folder_transform_may_be_sixteen_numbers(tmp_path: Path) -> None:
     write_folder_sequence(tmp_path)
     text = (tmp_path / "calib.yaml").read_text()

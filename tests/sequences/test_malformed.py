@@ -75,6 +75,10 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
         replace("calib.yaml", "_m: 0.5", "_m: -0.5"),
         ["baseline_m", "-0.5", "swapped"],
     ),
+    "readout of minutes": (
+        replace("calib.yaml", "_m: 0.5", "_m: 0.5\nreadout_s: 200"),
+        ["calib.yaml", "readout_s", "200"],
+    ),
     "width zero": (
         replace("calib.yaml", "width_px: 64", "width_px: 0"),
         ["calib.yaml", "width_px"],

@@ -30,7 +30,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
-from probevo.camera.rolling_shutter import READOUT_SIGMA_S, ReadoutTime
+from probevo.camera.rolling_shutter import ReadoutTime
 
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
@@ -121,14 +121,19 @@ class ImageErrors:
     s⁻¹."""
     readout_s: float = 0.0
     """The readout time that is corrected; 0 until it is noticeable."""
+    readout_prior: ReadoutTime = field(default_factory=ReadoutTime.prior)
 
     @staticmethod
-    def initial(distortion_sigma_px: float = INITIAL_SIGMA_PX) -> ImageErrors:
+    def initial(
+        distortion_sigma_px: float = INITIAL_SIGMA_PX, readout_s: float = 0.0
+    ) -> ImageErrors:
         """Return the prior.
 
         Args:
             distortion_sigma_px: τ to begin with.
+            readout_s: the readout time by the calibration; 0 if it does not give any.
         """
+        readout = ReadoutTime.prior(readout_s)
         return ImageErrors(
             mean=np.zeros(NUM_ERRORS),
             cov=np.diag(_prior_variance(distortion_sigma_px)),
@@ -137,6 +142,8 @@ class ImageErrors:
             with_radial=np.zeros(NUM_ERRORS),
             distortion_sigma_px=distortion_sigma_px,
             with_focal=np.zeros(NUM_ERRORS),
+            readout_s=readout.noticeable_s,
+            readout_prior=readout,
         )
 
     @property
@@ -183,10 +190,10 @@ class ImageErrors:
     def readout(self) -> ReadoutTime:
         """The readout time by what is seen of it, whether or not it is corrected."""
         # The joint posterior of c and the readout time, of which c is eliminated.
-        information = (
-            self.readout_seen + READOUT_SIGMA_S**-2.0 + self.with_readout @ self.shift_by_readout
-        )
-        moment = self.readout_moment + self.shift_by_readout @ self.moment
+        of_prior = self.readout_prior.sigma_s**-2.0
+        information = of_prior + self.readout_seen + self.with_readout @ self.shift_by_readout
+        moment = of_prior * self.readout_prior.mean_s + self.readout_moment
+        moment += float(self.shift_by_readout @ self.moment)
         return ReadoutTime(
             mean_s=float(moment / information), sigma_s=float(1.0 / math.sqrt(information))
         )
@@ -243,6 +250,7 @@ class ImageErrors:
                 + float(step.with_readout @ self.mean)
             ),
             readout_s=self.readout_s,
+            readout_prior=self.readout_prior,
         )
         return updated.with_readout_corrected()
 

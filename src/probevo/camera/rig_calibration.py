@@ -98,15 +98,17 @@ class RigCalibration:
     """Error of the focal length; it is reported, never corrected."""
 
     @staticmethod
-    def initial(jitter: RigJitter | None = None) -> RigCalibration:
+    def initial(jitter: RigJitter | None = None, readout_s: float = 0.0) -> RigCalibration:
         """Return the prior: no correction, with the standard deviations above.
 
         Args:
             jitter: the prior of the jitter; by default that of an unknown rig.
+            readout_s: the readout time of the shutter where it is known, else 0.
         """
         return RigCalibration(
             rows=np.zeros(len(ROW_SIGMA_PX)),
             rows_information=np.diag(ROW_SIGMA_PX**-2.0),
+            image=ImageErrors.initial(readout_s=readout_s),
             jitter=RigJitter.initial() if jitter is None else jitter,
         )
 

@@ -33,6 +33,8 @@ from probevo.geometry.se3_numba import perturb
 
 READOUT_SIGMA_S = 0.02
 """Prior standard deviation of the readout time; that of usual rolling shutters is 10 to 30 ms."""
+KNOWN_SIGMA_S = 0.0005
+"""That where a calibration gives the readout time."""
 NOTICEABLE_S = 0.003
 """Smallest readout time that is corrected. Steps of a shorter one are as exact as they claim
 (docs/degradation.md)."""
@@ -55,6 +57,15 @@ class ReadoutTime(NamedTuple):
 
     mean_s: float
     sigma_s: float
+
+    @staticmethod
+    def prior(known_s: float = 0.0) -> ReadoutTime:
+        """Return the prior.
+
+        Args:
+            known_s: the readout time by the calibration; 0 if it does not give any.
+        """
+        return ReadoutTime(known_s, KNOWN_SIGMA_S if known_s else READOUT_SIGMA_S)
 
     @property
     def noticeable_s(self) -> float:

@@ -31,6 +31,9 @@ class StereoCamera:
     baseline_m: float
     size_px: tuple[int, int] | None = None
     """(width, height) of the images; None where only features are known."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row of an image to that of the last one, where it is
+    known (``camera.rolling_shutter``). Otherwise 0, and the images show it."""
 
     def __post_init__(self) -> None:
         """Take a size that is a list, as YAML has it, for the tuple that it is compared with."""
@@ -161,7 +164,8 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         where: that file or option, for the message.
 
     Raises:
-        InputError: the baseline is not finite and positive, or as ``check_intrinsics`` raises.
+        InputError: the baseline is not finite and positive, the readout time is none that a camera
+            has, or as ``check_intrinsics`` raises.
     """
     check_intrinsics(
         fu_px=camera.fu_px,
@@ -186,8 +190,16 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
             "Are the left and right cameras swapped? Exchange them: images or topics, and"
             " calibrations.",
         )
+    if not abs(camera.readout_s) <= MAX_READOUT_S:
+        raise InputError(
+            where,
+            f"readout_s is {brief(camera.readout_s)} s.",
+            f"An image takes at most {MAX_READOUT_S:g} s; Kalibr's line_delay is in seconds a row.",
+        )
 
 
+MAX_READOUT_S = 1.0
+"""Longest time from the first row of an image to the last one."""
 MAX_M = 1e9
 """Largest baseline."""
 MAX_PX = 1e9

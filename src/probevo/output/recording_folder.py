@@ -106,6 +106,8 @@ def _calibration(sequence: Sequence, *, has_imu: bool) -> dict[str, Any]:
         "width_px": int(width_px),
         "height_px": int(height_px),
     }
+    if camera.readout_s:
+        content["readout_s"] = float(camera.readout_s)
     imu = sequence.imu
     if imu is not None and has_imu:
         content["imu"] = {"T_cam_imu": np.asarray(imu.T_cam_imu, float).tolist()}

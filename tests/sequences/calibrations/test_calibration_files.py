@@ -81,6 +81,24 @@ def test_kalibr(model: str, coefficients: Any, tmp_path: Path) -> None:
     assert calibration.time_offset_s == -0.03
 
 
+def test_kalibr_knows_the_readout_time_of_a_rolling_shutter(tmp_path: Path) -> None:
+    """``line_delay`` is that from row to row of the images that were calibrated; those that are
+    smaller take as long."""
+    content = kalibr()
+    for camera in content.values():
+        camera["line_delay"] = 2e-4
+    path = write_yaml(tmp_path / "camchain.yaml", content)
+    readout_s = 2e-4 * (SIZE_PX[1] - 1)
+    calibration = read_stereo_calibration(path, SIZE_PX)
+    assert calibration.rectification().camera.readout_s == pytest.approx(readout_s)
+    half = (SIZE_PX[0] // 2, SIZE_PX[1] // 2)
+    assert calibration.resized(half).readout_s == pytest.approx(readout_s)
+    content["cam0"]["line_delay"] = 30.0  # in microseconds
+    wrong = read_stereo_calibration(write_yaml(path, content), SIZE_PX)
+    with pytest.raises(InputError, match=r"readout_s is 1410"):
+        wrong.rectification()
+
+
 def test_a_number_that_yaml_takes_for_text_is_a_number(tmp_path: Path) -> None:
     """YAML 1.1 wants a point in 1e-5; those who write by hand leave it out."""
     text = yaml.safe_dump(kalibr())

@@ -47,7 +47,7 @@ def read_kalibr(content: CalibrationContent, size_px: SizePx | None) -> StereoCa
 
     Raises:
         InputError: there is one camera only, a key is missing or impossible, a camera model is not
-            supported, or the shutter rolls.
+            supported.
     """
     del size_px
     if "cam1" not in content:
@@ -72,7 +72,16 @@ def read_kalibr(content: CalibrationContent, size_px: SizePx | None) -> StereoCa
         T_right_left=T_right_left,
         T_left_imu=T_left_imu,
         time_offset_s=left.number("timeshift_cam_imu") if has_shift else 0.0,
+        readout_s=_readout_s(left),
     )
+
+
+def _readout_s(camera: CalibrationContent) -> float:
+    """Return the time from the first row to the last one; 0 if the file does not give it."""
+    if "line_delay" not in camera:
+        return 0.0
+    _, height_px = camera.size_px("resolution")
+    return camera.number("line_delay") * (height_px - 1)
 
 
 def _imu_pose(camera: CalibrationContent) -> FloatArray | None:

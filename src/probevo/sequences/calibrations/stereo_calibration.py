@@ -10,6 +10,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.image_scale import SizePx
 from probevo.camera.rectification import PinholeCamera, Rectification
+from probevo.camera.stereo import check_camera
 from probevo.geometry import se3
 from probevo.sequences.imu_calibration import ImuCalibration
 
@@ -36,6 +37,9 @@ class StereoCalibration:
     """p_left = T_left_imu p_imu, [4, 4], m; None if the file gives no IMU."""
     time_offset_s: float = 0.0
     """t_imu − t_cam, as Kalibr's ``timeshift_cam_imu``."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row of an image to that of the last one; 0 if the file
+    does not give it."""
 
     def resized(self, size_px: SizePx) -> StereoCalibration:
         """Return the calibration for images that were scaled to another size.
@@ -55,9 +59,12 @@ class StereoCalibration:
         Raises:
             InputError: the two cameras form no stereo pair.
         """
-        return Rectification.from_calibration(
+        rectification = Rectification.from_calibration(
             self.left, self.right, self.T_right_left, where=self.where
         )
+        camera = replace(rectification.camera, readout_s=self.readout_s)
+        check_camera(camera, self.where)
+        return replace(rectification, camera=camera)
 
     def imu(self, C_rect_left: FloatArray) -> ImuCalibration | None:
         """Return the IMU's calibration against the rectified left camera; None without an IMU.

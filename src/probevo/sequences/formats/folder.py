@@ -118,6 +118,7 @@ class FolderCalibration(CalibrationModel):
     baseline_m: float
     width_px: PositiveInt
     height_px: PositiveInt
+    readout_s: float = 0.0
     imu: ImuSection | None = None
 
 
@@ -140,8 +141,9 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         left/ right/   images (PNG, JPEG, PGM, TIFF, WebP, BMP; gray or colour, 8 or 16 bits),
                        paired by name, in the natural order of names; rectified, unless the
                        calibration is that of raw images
-        calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU
-                       the section imu: T_cam_imu, gyro_noise_rad_s_sqrt_hz, gyro_bias_sigma_rad_s
+        calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px [, readout_s],
+                       and with an IMU the section imu: T_cam_imu, gyro_noise_rad_s_sqrt_hz,
+                       gyro_bias_sigma_rad_s
                        [, gyro_bias_walk_rad_s2_sqrt_hz] [, accel_noise_m_s2_sqrt_hz]
                        [, accel_bias_sigma_m_s2] [, accel_bias_walk_m_s3_sqrt_hz] [, time_offset_s];
                        or a calibration of raw images, see ``calibration_files``
@@ -337,6 +339,7 @@ def read_cameras(
         cv_px=own.cv_px,
         baseline_m=own.baseline_m,
         size_px=(own.width_px, own.height_px),
+        readout_s=own.readout_s,
     )
     if resized:
         camera = camera.resized(size_px(), own_file)
@@ -354,7 +357,8 @@ def _read_calibration(path: Path) -> FolderCalibration:
     """
     cure = (
         "Its keys are fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px and, optionally,"
-        " imu; or it is Kalibr's or OpenCV's file. --calibration FILE reads one from elsewhere."
+        " readout_s and imu; or it is Kalibr's or OpenCV's file. --calibration FILE reads one from"
+        " elsewhere."
     )
     content = load_yaml(path, cure)
     section = content.get("imu") if isinstance(content, dict) else None
