@@ -28,7 +28,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.rig_rows import OffsetsOfFrame, fit_row_offsets
 from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer_numba import Intrinsics
+from probevo.camera.transfer_numba import Intrinsics, velocity_over_depth
 from probevo.compiled import compiled
 
 DELAY_SIGMA_S = 0.02
@@ -192,16 +192,12 @@ def _fill_right_velocity(
 ) -> None:
     """Fill the mean velocities, [N, 2], px/s."""
     fu, fv, cu, cv, fb = camera
-    vx, vy, vz, wx, wy, wz = twist
     for k in range(len(pixels)):
         x = (pixels[k, 0] - cu) / fu
         y = (pixels[k, 1] - cv) / fv
         x_right = (pixels[k, 2] - cu) / fu
         inverse_depth = (pixels[k, 0] - pixels[k, 2]) / fb
-        # ṗ over the depth of the point: ω × (x, y, 1) + v / Z.
-        rate_x = wy - wz * y + vx * inverse_depth
-        rate_y = wz * x - wx + vy * inverse_depth
-        rate_z = wx * y - wy * x + vz * inverse_depth
+        rate_x, rate_y, rate_z = velocity_over_depth(x, y, inverse_depth, twist)
         # Differences of u_r = f_u (p_x − b)/p_z + c_u and v_r = f_v p_y/p_z + c_v over τ
         share = max(1.0 + delay_s * rate_z, MIN_SHARE)
         velocity[k, 0] = fu * (rate_x - x_right * rate_z) / share

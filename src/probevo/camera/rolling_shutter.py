@@ -7,10 +7,10 @@ frame, a point seen in that row was at
 
     p = Exp(−s τ (v, ω)) p_seen;
 
-left and right image of a point have the same rows. τ is estimated jointly
-with the other errors of the images (``camera.image_errors``), from how well the features agree on
-one motion: with the image velocity ẏ of a point in the current frame by the velocities of the
-camera at either frame, the residual y' − f(T g(y)) of corrected observations changes with τ by
+left and right image of a point have the same rows. τ is estimated jointly with the other errors of
+the images (``camera.image_errors``), from how well the features agree on one motion: with the image
+velocity ẏ of a point in the current frame by the velocities of the camera at either frame, the
+residual y' − f(T g(y)) of corrected observations changes with τ by
 
     ∂e/∂τ = s ẏ(Ad(T) ξ) − s' ẏ(ξ').
 
@@ -26,7 +26,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer, velocity_over_depth
 from probevo.compiled import compiled
 from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
@@ -161,6 +161,7 @@ def _fill_sensitivity(
     sensitivity: FloatArray,
 ) -> None:
     """Fill in ∂e/∂τ; both twists are in the axes of the current frame."""
+    twist = np.empty(6)
     for n in range(len(refined)):
         X, Y, Z, rho = transfer(T, camera, refined[n])
         if Z < NEAREST:
@@ -172,16 +173,9 @@ def _fill_sensitivity(
         share = refined[n, 1] / (height - 1.0) - 0.5
         share_curr = (camera.fv * y + camera.cv) / (height - 1.0) - 0.5
         # ẏ is linear in the twist.
-        vx = share * twists.prev[0] - share_curr * twists.curr[0]
-        vy = share * twists.prev[1] - share_curr * twists.curr[1]
-        vz = share * twists.prev[2] - share_curr * twists.curr[2]
-        wx = share * twists.prev[3] - share_curr * twists.curr[3]
-        wy = share * twists.prev[4] - share_curr * twists.curr[4]
-        wz = share * twists.prev[5] - share_curr * twists.curr[5]
-        # ṗ over the depth of the point: ω × (x, y, 1) + v / Z.
-        rate_x = wy - wz * y + vx * inverse_depth
-        rate_y = wz * x - wx + vy * inverse_depth
-        rate_z = wx * y - wy * x + vz * inverse_depth
+        for k in range(len(twist)):
+            twist[k] = share * twists.prev[k] - share_curr * twists.curr[k]
+        rate_x, rate_y, rate_z = velocity_over_depth(x, y, inverse_depth, twist)
         u_move = camera.fu * (rate_x - x * rate_z)
         v_move = camera.fv * (rate_y - y * rate_z)
         d_move = -camera.fb * inverse_depth * rate_z

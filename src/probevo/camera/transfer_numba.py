@@ -41,6 +41,26 @@ class Intrinsics(NamedTuple):
 
 
 @compiled
+def velocity_over_depth(
+    x: float, y: float, inverse_depth: float, twist: FloatArray
+) -> tuple[float, float, float]:
+    """Return ṗ/Z = ω × (x, y, 1) + v/Z of a point at rest, seen at (x, y), in the camera's frame.
+
+    Args:
+        x: u − c_u over f_u.
+        y: v − c_v over f_v.
+        inverse_depth: 1/Z.
+        twist: (v, ω) of T_curr_prev per second, [6].
+    """
+    vx, vy, vz, wx, wy, wz = twist
+    return (
+        wy - wz * y + vx * inverse_depth,
+        wz * x - wx + vy * inverse_depth,
+        wx * y - wy * x + vz * inverse_depth,
+    )
+
+
+@compiled
 def transfer(
     T: FloatArray, camera: Intrinsics, point: FloatArray
 ) -> tuple[float, float, float, float]:
