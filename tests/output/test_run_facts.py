@@ -1,5 +1,7 @@
 """What the facts of a run say of the rig."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import probevo as pv
 from probevo.camera.focal_length import FocalLengthError
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.output.run_facts import (
+    camera_text,
     delay_text,
     feature_noise_text,
     focal_text,
@@ -22,6 +25,14 @@ from probevo.output.run_result import RunRecorder
 )
 def test_the_delay_is_said_with_its_sign(delay_s: float, text: str) -> None:
     assert f"right images are exposed {text} than left ones" in delay_text(delay_s)
+
+
+def test_a_camera_is_described_with_the_readout_of_its_calibration() -> None:
+    camera = pv.StereoCamera.centered(200.0, 0.1, (320, 240))
+    text = "320×240 px, f 200.0 px, baseline 0.1000 m, 77° wide"
+    assert camera_text(camera) == text
+    rolling = replace(camera, readout_s=0.0249)
+    assert camera_text(rolling) == f"{text}, rows exposed within 24.9 ms"
 
 
 def test_a_rolling_shutter_is_said_with_its_direction() -> None:

@@ -109,12 +109,15 @@ def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
 
 
 def camera_text(camera: StereoCamera) -> str:
-    """Describe a camera by its resolution, focal length, baseline and field of view."""
+    """Describe a camera by its resolution, focal length, baseline and field of view, and by what
+    its calibration says of the shutter."""
     text = f"f {camera.fu_px:.1f} px, baseline {camera.baseline_m:.4f} m"
-    if camera.size_px is None:
-        return text
-    width, height = camera.size_px
-    return f"{width}×{height} px, {text}, {field_of_view_deg(camera):.0f}° wide"
+    if camera.size_px is not None:
+        width, height = camera.size_px
+        text = f"{width}×{height} px, {text}, {field_of_view_deg(camera):.0f}° wide"
+    if camera.readout_s:
+        text += f", rows exposed within {1e3 * camera.readout_s:.1f} ms"
+    return text
 
 
 def field_of_view_deg(camera: StereoCamera) -> float:
