@@ -108,6 +108,7 @@ class DistortionEffect:
         adjoint = se3.adjoint(T_curr_prev)
 
         def carried(of_frames: FloatArray) -> FloatArray:
+            """Append what the frame before the motion has, in the axes of the new one."""
             return np.concatenate([of_frames, (adjoint @ of_frames[prev])[None]])
 
         return replace(
@@ -177,6 +178,7 @@ class DistortionEffect:
         """Return that of the motion between two frames, with its adjoint, [6, 6]."""
 
         def difference(of_frames: FloatArray) -> FloatArray:
+            """Return what has been added from the other frame to this one."""
             return np.asarray(of_frames[slot] - adjoint @ of_frames[other])
 
         return self._second_moment(
