@@ -1,5 +1,7 @@
 """The errors of a rig's images as a Gaussian estimate, and its prior that is learned."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -92,12 +94,19 @@ def test_nothing_seen_leaves_the_prior() -> None:
     assert errors.focal_rms == FOCAL_SIGMA
 
 
-def with_focal_length(
-    rng: np.random.Generator, focal_error: float, sigma: float, steps: int
+PRIOR_SIGMA = {"focal": FOCAL_SIGMA, "readout": READOUT_SIGMA_S}
+
+
+def measured_together(
+    rng: np.random.Generator, name: str, value: float, sigma: float, steps: int
 ) -> tuple[ImageErrors, FloatArray, FloatArray]:
-    """Return the estimate after steps that measure image errors of 0.1 px and log f together, each
-    to ``sigma`` of the latter; and the joint information and moment of all, by a prior for each."""
-    truth = np.append(rng.normal(scale=0.1, size=NUM_ERRORS), focal_error)
+    """Return the estimate after steps that measure image errors of 0.1 px and another quantity
+    together, each to ``sigma`` of the latter; and the joint information and moment of all, by a
+    prior for each.
+
+    The gradients are those at what is corrected, as the tracks of a step are.
+    """
+    truth = np.append(rng.normal(scale=0.1, size=NUM_ERRORS), value)
     errors = ImageErrors.initial()
     total = np.zeros((NUM_ERRORS + 1, NUM_ERRORS + 1))
     moment = np.zeros(NUM_ERRORS + 1)
@@ -107,29 +116,27 @@ def with_focal_length(
         jacobian[:, -1] /= sigma
         information = jacobian.T @ jacobian
         measured = truth + np.linalg.solve(information, jacobian.T @ rng.normal(size=len(jacobian)))
-        gradient = information @ (measured - np.append(errors.mean, 0.0))
-        errors = errors.with_step(
-            ImageEquations(
-                information[:-1, :-1],
-                gradient[:-1],
-                np.zeros(NUM_ERRORS),
-                information[:-1, -1],
-                focal_information=information[-1, -1],
-                focal_gradient=gradient[-1],
-                with_readout=np.zeros(NUM_ERRORS),
-                readout_information=0.0,
-                readout_gradient=0.0,
-            )
-        )
+        gradient = information @ (measured - np.append(errors.mean, errors.readout_s))
+        of_other: dict[str, Any] = {
+            f"with_{name}": information[:-1, -1],
+            f"{name}_information": information[-1, -1],
+            f"{name}_gradient": gradient[-1],
+        }
+        step = equations(information[:-1, :-1], gradient[:-1])
+        errors = errors.with_step(step._replace(**of_other))
         total += information
         moment += information @ measured
-    prior = np.concatenate([DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, tau_px), [FOCAL_SIGMA]])
+    prior = np.concatenate(
+        [DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, tau_px), [PRIOR_SIGMA[name]]]
+    )
     return errors, total + np.diag(prior**-2.0), moment
 
 
 def test_images_that_agree_with_the_focal_length_make_it_certain() -> None:
     """As in one least-squares problem of all errors together."""
-    errors, information, moment = with_focal_length(np.random.default_rng(8), 0.0, 0.002, 4)
+    errors, information, moment = measured_together(
+        np.random.default_rng(8), "focal", 0.0, 0.002, 4
+    )
     expected = np.linalg.solve(information, moment)[-1] ** 2 + np.linalg.inv(information)[-1, -1]
     assert errors.focal_rms == pytest.approx(np.sqrt(expected), rel=1e-6)
     assert errors.focal_rms < 0.3 * FOCAL_SIGMA
@@ -137,13 +144,15 @@ def test_images_that_agree_with_the_focal_length_make_it_certain() -> None:
 
 def test_images_that_contradict_the_focal_length_show_nothing() -> None:
     """It may be the lenses."""
-    errors, *_ = with_focal_length(np.random.default_rng(9), 0.03, 0.002, 4)
+    errors, *_ = measured_together(np.random.default_rng(9), "focal", 0.03, 0.002, 4)
     assert errors.focal_rms == FOCAL_SIGMA
 
 
 def test_the_estimate_moves_with_the_focal_length_that_is_assumed() -> None:
     """By ∂c/∂ε of the least-squares problem in which ε is given."""
-    errors, information, moment = with_focal_length(np.random.default_rng(10), 0.01, 0.002, 4)
+    errors, information, moment = measured_together(
+        np.random.default_rng(10), "focal", 0.01, 0.002, 4
+    )
     of_image = information[:-1, :-1]
     means = [
         np.linalg.solve(of_image, moment[:-1] - information[:-1, -1] * epsilon)
@@ -153,51 +162,12 @@ def test_the_estimate_moves_with_the_focal_length_that_is_assumed() -> None:
     np.testing.assert_allclose(0.01 * errors.shift_by_focal, means[1] - means[0], atol=1e-9)
 
 
-def with_readout(
-    rng: np.random.Generator, readout_s: float, sigma_s: float, steps: int
-) -> tuple[ImageErrors, FloatArray, FloatArray]:
-    """Return the estimate after steps that measure image errors of 0.1 px and the readout time
-    together, each to ``sigma_s`` of the latter; and the joint information and moment of all.
-
-    The gradients are those at what is corrected, as the tracks of a step are.
-    """
-    truth = np.append(rng.normal(scale=0.1, size=NUM_ERRORS), readout_s)
-    errors = ImageErrors.initial()
-    total = np.zeros((NUM_ERRORS + 1, NUM_ERRORS + 1))
-    moment = np.zeros(NUM_ERRORS + 1)
-    none = np.zeros(NUM_ERRORS)
-    for _ in range(steps):
-        tau_px = errors.distortion_sigma_px
-        jacobian = rng.normal(size=(2 * NUM_ERRORS, NUM_ERRORS + 1))
-        jacobian[:, -1] /= sigma_s
-        information = jacobian.T @ jacobian
-        measured = truth + np.linalg.solve(information, jacobian.T @ rng.normal(size=len(jacobian)))
-        gradient = information @ (measured - np.append(errors.mean, errors.readout_s))
-        errors = errors.with_step(
-            ImageEquations(
-                information[:-1, :-1],
-                gradient[:-1],
-                with_radial=none,
-                with_focal=none,
-                focal_information=0.0,
-                focal_gradient=0.0,
-                with_readout=information[:-1, -1],
-                readout_information=information[-1, -1],
-                readout_gradient=gradient[-1],
-            )
-        )
-        total += information
-        moment += information @ measured
-    prior = np.concatenate(
-        [DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, tau_px), [READOUT_SIGMA_S]]
-    )
-    return errors, total + np.diag(prior**-2.0), moment
-
-
 @pytest.mark.parametrize("readout_s", [0.0, 0.02])
 def test_the_readout_time_is_that_of_one_least_squares_problem(readout_s: float) -> None:
     """Of all errors together, whether or not it has been corrected in between."""
-    errors, information, moment = with_readout(np.random.default_rng(10), readout_s, 0.002, 4)
+    errors, information, moment = measured_together(
+        np.random.default_rng(10), "readout", readout_s, 0.002, 4
+    )
     expected = np.linalg.solve(information, moment)
     assert errors.readout.mean_s == pytest.approx(expected[-1], rel=1e-6)
     sigma_s = np.sqrt(np.linalg.inv(information)[-1, -1])
@@ -221,6 +191,6 @@ def test_a_readout_that_the_calibration_gives_is_corrected_before_anything_is_se
 
 
 def test_another_radial_error_keeps_the_errors_those_of_the_readout_that_is_corrected() -> None:
-    errors, _, _ = with_readout(np.random.default_rng(11), 0.02, 0.002, 4)
+    errors, _, _ = measured_together(np.random.default_rng(11), "readout", 0.02, 0.002, 4)
     assert errors.readout_s
     np.testing.assert_allclose(errors.with_radial_moved(0.0).mean, errors.mean, rtol=1e-12)
