@@ -13,6 +13,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import LEARNED_FRAMES, RigJitter
+from probevo.camera.rolling_shutter import Twists
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
@@ -306,10 +307,8 @@ class StereoOdometry:
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
         # Before the solve, the last velocity stands for that at either frame.
-        twist = None if model.speed_is_unknown else model.twist
-        corrected = CorrectedTracks.of(
-            tracked.tracks_of_scene, state.rig, self.camera, prev_twist=twist, curr_twist=twist
-        )
+        twists = None if model.speed_is_unknown else Twists(model.twist, model.twist)
+        corrected = CorrectedTracks.of(tracked.tracks_of_scene, state.rig, self.camera, twists)
         if state.rig is not None:
             clock.lap("calibrate")
         phi = self.predictors(

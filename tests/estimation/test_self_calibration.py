@@ -9,6 +9,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter, jitter_offsets
+from probevo.camera.rolling_shutter import Twists
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
@@ -55,7 +56,9 @@ def estimate(
     """
     visual = CountedEstimator(CAMERA, StudentT(), CONFIG, predicts_from_motion=False)
     found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, rig, CAMERA, prev_twist=twist, curr_twist=twist),
+        CorrectedTracks.of(
+            tracks, rig, CAMERA, twists=None if twist is None else Twists(twist, twist)
+        ),
         np.zeros((len(tracks), 0)),
         MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
         last_twist=np.zeros(6) if twist is None else twist,
@@ -97,7 +100,7 @@ def test_a_jitter_that_the_noise_model_has_learned_is_that_of_the_solve() -> Non
     visual = VisualEstimator(CAMERA, StudentT(jitter_cov=cov), CONFIG, predicts_from_motion=False)
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, None, CAMERA, prev_twist=TWIST_S, curr_twist=TWIST_S),
+        CorrectedTracks.of(tracks, None, CAMERA, twists=Twists(TWIST_S, TWIST_S)),
         np.zeros((len(tracks), 0)),
         MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
         last_twist=TWIST_S,

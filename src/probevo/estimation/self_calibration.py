@@ -144,7 +144,7 @@ class SelfCalibratingEstimator:
         )
         if found.visual.status is Status.OK and _depends_on_velocity(corrected.rig):
             twists = _twists(found.visual.accepted_solution, last, duration_s)
-            corrected = corrected.at_twists(twists.prev, twists.curr, self._camera)
+            corrected = corrected.at_twists(twists, self._camera)
             found = self._solve_until_jitter_fits(
                 corrected, phi, priors, last, duration_s, seed=seed, clock=clock
             )

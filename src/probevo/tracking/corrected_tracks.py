@@ -37,9 +37,7 @@ class CorrectedTracks:
         raw: Tracks,
         rig: RigCalibration | None,
         camera: StereoCamera,
-        *,
-        prev_twist: FloatArray | None,
-        curr_twist: FloatArray | None,
+        twists: Twists | None,
     ) -> CorrectedTracks:
         """Correct raw tracks by the rig's calibration, and update its row offsets with them.
 
@@ -47,8 +45,7 @@ class CorrectedTracks:
             raw: as tracked.
             rig: the calibration before this frame; None corrects nothing.
             camera: the rectified camera.
-            prev_twist: twist per second at the previous frame, [6]; None if it is not known.
-            curr_twist: the twist per second at this frame.
+            twists: the velocities at the two frames; None if they are not known.
         """
         if rig is None:
             return CorrectedTracks(
@@ -64,12 +61,9 @@ class CorrectedTracks:
         # removed.
         delay_s = 0.0
         simultaneous = raw
-        knows_velocity = prev_twist is not None and curr_twist is not None
-        if prev_twist is not None and curr_twist is not None:
+        if twists is not None:
             delay_s = rig.delay.delay_s
-            simultaneous = _at_times_of_frames(
-                raw, rig, camera=camera, twists=Twists(prev_twist, curr_twist)
-            )
+            simultaneous = _at_times_of_frames(raw, rig, camera, twists)
         # Row offsets need no motion, so every frame updates them, accepted or not.
         updated = rig.with_rows(simultaneous.curr_px, camera, novelty=raw.novelty)
         return CorrectedTracks(
@@ -79,20 +73,12 @@ class CorrectedTracks:
             tracks=simultaneous.corrected(updated, camera),
             rig=updated,
             delay_s=delay_s,
-            knows_velocity=knows_velocity,
+            knows_velocity=twists is not None,
         )
 
-    def at_twists(
-        self, prev_twist: FloatArray, curr_twist: FloatArray, camera: StereoCamera
-    ) -> CorrectedTracks:
-        """Correct the same raw tracks again with better estimates of the velocity, [6] each."""
-        return CorrectedTracks.of(
-            self.raw,
-            self.prior_rig,
-            camera,
-            prev_twist=prev_twist,
-            curr_twist=curr_twist,
-        )
+    def at_twists(self, twists: Twists, camera: StereoCamera) -> CorrectedTracks:
+        """Correct the same raw tracks again with better estimates of the velocities."""
+        return CorrectedTracks.of(self.raw, self.prior_rig, camera, twists)
 
 
 def _at_times_of_frames(
