@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.geometry import se3
-from probevo_sim.scene.textures import SIZE, Mipmaps, Texture, make_textures
+from probevo_sim.scene.textures import SIZE, Mipmaps, Texture, lattice_texels, make_textures
 from probevo_sim.scene.world import Ground, World
 
 GROUND = -1
@@ -60,6 +60,8 @@ class SceneArrays(NamedTuple):
     """[B]; see ``Ground``, like the other fields of bands."""
     band_texture: IntArray
     """[B]."""
+    band_lattice_texels: IntArray
+    """See ``lattice_texels``, [B]."""
     band_texels_per_m: FloatArray
     """[B]."""
     band_albedo: FloatArray
@@ -108,6 +110,7 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
         repeated=int(Texture.HEDGE_REPEATED),
         band_edge_m=ground.edge_m,
         band_texture=ground.texture,
+        band_lattice_texels=lattice_texels(ground.texture),
         band_texels_per_m=SIZE / ground.tile_m,
         band_albedo=ground.albedo,
         band_contrast=ground.contrast,

@@ -24,6 +24,7 @@ from probevo_sim.scene.scene_arrays import (
     View,
 )
 from probevo_sim.scene.solids import BOX
+from probevo_sim.scene.stochastic_tiling_numba import sample_unrepeated
 from probevo_sim.scene.texture_filter_numba import Footprint, sample, sample_square
 from probevo_sim.scene.textures import SIZE
 
@@ -43,9 +44,10 @@ DISK_RAD = 0.02
 """Radius of the sun's disk: with its halo, which saturates the sensor."""
 DISK_RADIANCE = 5.0
 SWAY_M = 0.12
-"""Amplitude with which leaves that repeat sway in the wind."""
+"""Amplitude with which leaves that repeat, and shadows of leaves, sway in the wind."""
 SWAY_RAD_S = 4.5
-"""Angular frequency of that; each hedge and each crown has its own phase."""
+"""Angular frequency of that; each hedge and each crown has its own phase, and so do places on the
+ground."""
 HAZE_M = 1500.0
 """Distance at which half of the radiance is that of haze."""
 
@@ -109,6 +111,7 @@ def shade_ground(scene: SceneArrays, view: View, footprint_px: float, rays: Rays
     blocks = scene.map_blocks
     distance_m = scene.road_distance_m
     texture = scene.band_texture
+    lattice_texels = scene.band_lattice_texels
     texels_per_m = scene.band_texels_per_m
     albedo = scene.band_albedo
     contrast = scene.band_contrast
@@ -160,7 +163,7 @@ def shade_ground(scene: SceneArrays, view: View, footprint_px: float, rays: Rays
             b_by_u=bu * scale,
             b_by_v=bv * scale,
         )
-        detail = sample(mipmaps, texture[band], footprint)
+        detail = sample_unrepeated(mipmaps, texture[band], lattice_texels[band], footprint)
         footprint_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
         reflectance = albedo[band] * (1.0 + contrast[band] * detail)
         reflectance *= 1.0 + contrast[band] * _weathering(

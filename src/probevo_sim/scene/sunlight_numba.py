@@ -1,6 +1,6 @@
 """Sunlight: what the sun adds to the radiance of a hit, and what occludes it, as compiled loops.
 
-Solids cast shadows; so do leaves, which are a texture that moves over the ground with the wind.
+Solids cast shadows; so do leaves, which are a texture on the ground that sways in the wind.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from probevo.compiled import compiled
 from probevo_sim.scene.candidates import SHADOW_CELL_M, Candidates
 from probevo_sim.scene.intersection_numba import Rays, Vector, enter_box, enter_ellipsoid
 from probevo_sim.scene.scene_arrays import SceneArrays, View
+from probevo_sim.scene.shading_numba import SWAY_M, SWAY_RAD_S
 from probevo_sim.scene.solids import BOX
-from probevo_sim.scene.texture_filter_numba import sample_square
+from probevo_sim.scene.stochastic_tiling_numba import sample_unrepeated
+from probevo_sim.scene.texture_filter_numba import Footprint
 from probevo_sim.scene.textures import SIZE
 
 CLEARANCE_M = 1e-3
@@ -26,8 +28,10 @@ LEAVES_DARKNESS = 0.5
 """Share of the sunlight that leaves take away where they are densest."""
 LEAVES_BELOW_M = 0.5
 """Shadows of leaves fall on what is lower than this."""
-WIND_M_S = (0.9, 0.45)
-"""Velocity of the shadows of leaves over the ground, along x and y of the world."""
+WIND = (0.89, 0.45)
+"""Direction in which the shadows of leaves sway over the ground, along x and y of the world."""
+GUST_M_S = 3.0
+"""Velocity of the gusts over the ground: how fast the phase of the sway travels."""
 
 
 @compiled
@@ -40,7 +44,7 @@ def add_sunlight(
         scene: solids, textures, and the darkness of shadows.
         view: poses of the solids at this time.
         occluders: the solids that may cast a shadow on each cell of the ground.
-        time_s: moves the shadows of leaves.
+        time_s: sways the shadows of leaves.
         rays: shaded packet; its ``radiance`` is completed.
     """
     hit = rays.hit
@@ -77,12 +81,20 @@ def add_sunlight(
                     visibility = 1.0 - scene.shadow
                     break
 
-        # Low places in the sun lie under leaves, whose pattern the wind carries along.
+        # Low places in the sun lie under leaves, which sway in the gusts.
         if visibility == 1.0 and z < LEAVES_BELOW_M:
+            travelled_s = (WIND[0] * east + WIND[1] * north) / GUST_M_S
+            sway_m = SWAY_M * math.sin(SWAY_RAD_S * (time_s - travelled_s))
             side = footprint_m[k] * LEAVES_TEXELS_PER_M
-            a = (east - WIND_M_S[0] * time_s) * LEAVES_TEXELS_PER_M
-            b = (north - WIND_M_S[1] * time_s) * LEAVES_TEXELS_PER_M
-            leaves = sample_square(scene.mipmaps, scene.dapple, a, b=b, side=side)
+            footprint = Footprint(
+                a=(east - WIND[0] * sway_m) * LEAVES_TEXELS_PER_M,
+                b=(north - WIND[1] * sway_m) * LEAVES_TEXELS_PER_M,
+                a_by_u=side,
+                a_by_v=0.0,
+                b_by_u=0.0,
+                b_by_v=side,
+            )
+            leaves = sample_unrepeated(scene.mipmaps, scene.dapple, 1, footprint=footprint)
             visibility = 1.0 - 0.5 * LEAVES_DARKNESS * scene.shadow * (1.0 - leaves)
         radiance[k] += visibility * sun_radiance[k]
 

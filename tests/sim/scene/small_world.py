@@ -21,16 +21,20 @@ WALL_M = 30.0
 """How far east the front of the wall is; the camera starts at the origin and looks east."""
 
 
-def trajectory() -> Trajectory:
-    """Return a drive eastwards that bends slowly to the left, without suspension."""
+def trajectory(speed_m_s: float = SPEED_M_S) -> Trajectory:
+    """Return a drive eastwards that bends slowly to the left, without suspension.
+
+    At no speed, the camera stands at the origin, and does not turn either.
+    """
+    yaw_rate_rad_s = YAW_RATE_RAD_S * speed_m_s / SPEED_M_S
     t_s = np.linspace(-1.0, 5.0, 121)
     zero = np.zeros_like(t_s)
     coordinates = np.stack(
         [
-            SPEED_M_S * t_s,
-            0.5 * SPEED_M_S * YAW_RATE_RAD_S * t_s**2,
+            speed_m_s * t_s,
+            0.5 * speed_m_s * yaw_rate_rad_s * t_s**2,
             HEIGHT_M + zero,
-            YAW_RATE_RAD_S * t_s,
+            yaw_rate_rad_s * t_s,
             zero,
             zero,
         ],

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
+from probevo_sim.scene.config import Effects
+from probevo_sim.scene.renderer import Renderer
+from probevo_sim.scene.shading_numba import SWAY_RAD_S
 from probevo_sim.scene.solids import BOX, Solids, join, solid
 from probevo_sim.scene.sunlight_numba import LEAVES_DARKNESS
 from probevo_sim.scene.textures import Texture
-from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, world
+from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, trajectory, world
 
 SUN = np.array([0.0, 0.6, 0.8])
 """In the north, that is on the left of the camera."""
@@ -59,14 +62,23 @@ def test_beside_it_there_is_sun_but_for_the_leaves(east_m: float, right_m: float
     assert 1.0 - LEAVES_DARKNESS * sun_share - 0.02 <= shaded / lit <= 1.0
 
 
-def test_leaves_shade_some_of_the_ground_and_wander_with_the_wind() -> None:
+def test_leaves_shade_some_of_the_ground_and_sway_in_the_wind() -> None:
+    """Before a camera that stands, their shadows move aside and come back."""
     place = world(sun=SUN)
+    camera_stands = trajectory(speed_m_s=0.0)
     rows = slice(90, 128)  # ground
-    lit = renderer(place, shadows=0.0).pair(0.0)[0][rows]
-    first = renderer(place, shadows=1.0).pair(0.0)[0][rows]
-    later = renderer(place, shadows=1.0).pair(0.5)[0][rows]
+
+    def ground(shadows: float, time_s: float) -> FloatArray:
+        effects = Effects(shadows=shadows)
+        left, _ = Renderer(place, camera_stands, CAMERA, effects=effects).pair(time_s)
+        return left[rows].astype(np.float64)
+
+    half_a_sway_s = np.pi / SWAY_RAD_S
+    lit = ground(0.0, 0.0)
+    first = ground(1.0, 0.0)
     assert 0.05 < np.mean(first < 0.9 * lit) < 0.95
-    assert not np.allclose(first, later, atol=0.02)
+    assert not np.allclose(first, ground(1.0, half_a_sway_s), atol=0.02)
+    np.testing.assert_allclose(first, ground(1.0, 2.0 * half_a_sway_s), atol=1e-6)
 
 
 def test_half_the_strength_is_half_as_dark() -> None:
