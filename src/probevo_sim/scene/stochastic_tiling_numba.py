@@ -2,7 +2,8 @@
 
 Equal tiles side by side show the same picture every few metres, and a camera that moves by as much
 from frame to frame seems to stand. So the plane is divided into cells as large as a tile. Each
-shows the texture shifted by a random amount, and borders of cells wind and are blended.
+shows the texture shifted and turned at random, and borders of cells wind and are blended. Textures
+with joints are not turned, and shifted so that their joints stay in line.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ BEND_CELLS = 0.2
 BEND_RAD = 3.0
 """Angle of that per cell."""
 
+TURNS = 1024
+"""Directions in which a tile may lie."""
+
 
 @compiled
 def sample_unrepeated(
@@ -30,7 +34,7 @@ def sample_unrepeated(
     Args:
         mipmaps: the textures.
         layer: the texture.
-        lattice_texels: the texture is shifted by multiples of this, so that joints stay in line.
+        lattice_texels: distance after which its joints repeat; 1 without joints.
         footprint: on the plane, in texels of mip level 0; far from the origin it is on other cells.
     """
     # The place in cells, between the centres of four of them.
@@ -50,16 +54,8 @@ def sample_unrepeated(
             share = share_i * (share_b if j else 1.0 - share_b)
             if share == 0.0:
                 continue
-            shift_a, shift_b = _shift(int(cell_a) + i, int(cell_b) + j, lattice_texels)
-            shifted = Footprint(
-                a=footprint.a + shift_a,
-                b=footprint.b + shift_b,
-                a_by_u=footprint.a_by_u,
-                a_by_v=footprint.a_by_v,
-                b_by_u=footprint.b_by_u,
-                b_by_v=footprint.b_by_v,
-            )
-            total += share * sample(mipmaps, layer, shifted)
+            placed = _placed(footprint, int(cell_a) + i, int(cell_b) + j, lattice_texels)
+            total += share * sample(mipmaps, layer, placed)
     return total
 
 
@@ -70,13 +66,26 @@ def _upper_share(between: float) -> float:
 
 
 @compiled
-def _shift(cell_a: int, cell_b: int, lattice_texels: int) -> tuple[int, int]:
-    """Return by how many texels the texture of a cell is shifted, 0 … SIZE − 1, by a hash."""
-    # Large primes spread neighbours (Teschner et al., 2003); then the bits are mixed.
+def _placed(footprint: Footprint, cell_a: int, cell_b: int, lattice_texels: int) -> Footprint:
+    """Return where a footprint on the plane lies on the tile of a cell."""
+    # A hash of the cell: large primes spread neighbours (Teschner et al., 2003), then the bits are
+    # mixed.
     code = ((cell_a * 73856093) ^ (cell_b * 19349663)) & 0xFFFFFFFF
     for _ in range(2):
         code = ((code ^ (code >> 16)) * 0x45D9F3B) & 0xFFFFFFFF
     code ^= code >> 16
     shift_a = code % SIZE
     shift_b = (code // SIZE) % SIZE
-    return shift_a - shift_a % lattice_texels, shift_b - shift_b % lattice_texels
+    angle_rad = 0.0
+    if lattice_texels == 1:
+        angle_rad = 2.0 * math.pi * (code // (SIZE * SIZE) % TURNS) / TURNS
+    c = math.cos(angle_rad)
+    s = math.sin(angle_rad)
+    return Footprint(
+        a=c * footprint.a - s * footprint.b + shift_a - shift_a % lattice_texels,
+        b=s * footprint.a + c * footprint.b + shift_b - shift_b % lattice_texels,
+        a_by_u=c * footprint.a_by_u - s * footprint.b_by_u,
+        a_by_v=c * footprint.a_by_v - s * footprint.b_by_v,
+        b_by_u=s * footprint.a_by_u + c * footprint.b_by_u,
+        b_by_v=s * footprint.a_by_v + c * footprint.b_by_v,
+    )

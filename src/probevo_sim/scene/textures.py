@@ -99,11 +99,11 @@ _PATTERNS: dict[Texture, tuple[Callable[[np.random.Generator], canvas.Tile], flo
 """The function that draws each texture, and the standard deviation that the texture is given."""
 
 _LATTICE_TEXELS = {Texture.CONCRETE: SIZE // 2, Texture.PAVING: SIZE // 4}
-"""Distance after which the joints of a texture of the ground repeat."""
+"""Distance after which the joints of textures repeat that have any."""
 
 
 def lattice_texels(textures: IntArray) -> IntArray:
-    """Return by multiples of how many texels each texture may be shifted, [N]: 1 without joints."""
+    """Return after how many texels the joints of each texture repeat, [N]: 1 without joints."""
     return np.array([_LATTICE_TEXELS.get(Texture(layer), 1) for layer in textures])
 
 

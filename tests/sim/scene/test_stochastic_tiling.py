@@ -57,16 +57,18 @@ def test_it_has_no_seams() -> None:
     assert steps.max() < 3.0 * np.abs(np.diff(repeated(Texture.BLOTCHES, along, across))).max()
 
 
-def test_within_a_cell_it_is_the_shifted_tile() -> None:
+def test_within_a_cell_it_is_the_tile_shifted_by_whole_joints() -> None:
     """Far from the borders, the square is found in the tile exactly, at one place."""
     margin = round((BEND_CELLS + 0.5 * BLEND_CELLS) * SIZE)
     b, a = np.mgrid[margin : SIZE - margin, margin : SIZE - margin].reshape(2, -1) + 0.5
-    shown = unrepeated(Texture.DIRT, a, b).reshape(SIZE - 2 * margin, -1)
-    tile = make_textures().texels[Texture.DIRT, : SIZE * SIZE].reshape(SIZE, SIZE) / 127.5 - 1.0
+    shown = unrepeated(Texture.PAVING, a, b).reshape(SIZE - 2 * margin, -1)
+    tile = make_textures().texels[Texture.PAVING, : SIZE * SIZE].reshape(SIZE, SIZE) / 127.5 - 1.0
     padded = np.zeros_like(tile)
     padded[: shown.shape[0], : shown.shape[1]] = shown
     correlation = np.fft.ifft2(np.fft.fft2(padded).conj() * np.fft.fft2(tile)).real
     row, column = np.unravel_index(np.argmax(correlation), correlation.shape)
+    lattice = lattice_texels(np.array([Texture.PAVING]))[0]
+    assert (row - margin) % lattice == (column - margin) % lattice == 0
     found = np.roll(tile, (-row, -column), axis=(0, 1))[: shown.shape[0], : shown.shape[1]]
     np.testing.assert_allclose(shown, found, atol=1e-9)
 
