@@ -441,7 +441,7 @@ class StereoOdometry:
             observed.corrected,
             observed.phi,
             priors,
-            last_twist=state.motion_model.twist,
+            motion_model=state.motion_model,
             duration_s=prediction.duration_s,
             seed=(self.config.seed, index),
             clock=clock,

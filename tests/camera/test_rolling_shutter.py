@@ -18,16 +18,21 @@ from worlds import CAMERA, random_pixels
 
 TWIST_S = np.array([0.5, -0.3, -12.0, 0.4, -0.8, 0.6])
 """12 m/s ahead, and turns of 20 to 50 degrees a second."""
+ACCELERATION = np.array([2.0, 1.0, -3.0, 8.0, -20.0, 5.0])
+"""Of a rig in a hand, that changes its rates by up to 20 rad/s in a second."""
 
 
-def rolling(points: FloatArray, readout_s: float) -> FloatArray:
+def rolling(
+    points: FloatArray, readout_s: float, acceleration: FloatArray | None = None
+) -> FloatArray:
     """Return what a rolling shutter shows of points at rest, given at the time of the frame,
     [N, 3], m: each where it is when its row is exposed, which is found by iteration."""
+    rate = np.zeros(6) if acceleration is None else acceleration
     pixels = CAMERA.project(points)
     for _ in range(50):
         row_time_s = readout_s * (pixels[:, 1] / (image_height(CAMERA) - 1.0) - 0.5)
         moved = [
-            se3.transform(se3.exp(time_s * TWIST_S), point[None])[0]
+            se3.transform(se3.exp(time_s * TWIST_S + 0.5 * time_s**2 * rate), point[None])[0]
             for time_s, point in zip(row_time_s, points, strict=True)
         ]
         pixels = CAMERA.project(np.array(moved))
@@ -43,6 +48,14 @@ def test_points_seen_by_rows_are_moved_to_where_they_are_at_the_time_of_the_fram
     assert np.abs(seen - expected).max() > 5.0
     found = without_readout(seen, readout_s, TWIST_S, CAMERA)
     np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+def test_so_they_are_where_the_velocity_changes_meanwhile() -> None:
+    expected = random_pixels(np.random.default_rng(3), 200)
+    seen = rolling(CAMERA.triangulate(expected), 0.03, ACCELERATION)
+    found = without_readout(seen, 0.03, TWIST_S, CAMERA, acceleration=ACCELERATION)
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+    assert np.abs(without_readout(seen, 0.03, TWIST_S, CAMERA) - expected).max() > 0.5
 
 
 def test_the_offset_between_the_rows_of_both_images_is_left() -> None:

@@ -2,24 +2,28 @@
 
 Row v of an image of H rows is exposed s τ after the middle row, where τ is the readout time and
 s = v/(H − 1) − ½. A frame has the time of its middle row. In the camera's frame a point p at rest
-moves by ṗ = ω × p + v, where (v, ω) is the twist of T_curr_prev per second. So at the time of the
-frame, a point seen in that row was at
+moves by ṗ = ω × p + v, where ξ = (v, ω) is the twist of T_curr_prev per second; with its rate of
+change a, a point seen in that row was at
 
-    p = Exp(−s τ (v, ω)) p_seen;
+    p = Exp(−s τ ξ − ½ (s τ)² a) p_seen
 
-left and right image of a point have the same rows. τ is estimated jointly with the other errors of
-the images (``camera.image_errors``), from how well the features agree on one motion: with the image
-velocity ẏ of a point in the current frame by the velocities of the camera at either frame, the
-residual y' − f(T g(y)) of corrected observations changes with τ by
+at the time of the frame; left and right image of a point have the same rows. τ is estimated jointly
+with the other errors of the images (``camera.image_errors``), from how well the features agree on
+one motion: with the image velocity ẏ of a point in the current frame by the velocities of the
+camera at either frame, the residual y' − f(T g(y)) of corrected observations changes with τ by
 
-    ∂e/∂τ = s ẏ(Ad(T) ξ) − s' ẏ(ξ').
+    ∂e/∂τ = s ẏ(Ad(T) (ξ + s τ a)) − s' ẏ(ξ' + s' τ a).
 
-Errors of lenses do not look like this: they do not depend on the depth of a point. The velocity at
-a frame is that between the mean velocities of two steps; a rig that is shaken has another one.
+Errors of lenses do not look like this: they do not depend on the depth of a point. Where ξ' − ξ = a
+Δt is not known either, as of a rig in a hand, the features show it, too
+(``estimation.velocity_change``): with ξ and ξ' half of it before and behind their mean,
+
+    ∂e/∂(ξ' − ξ) = −½ (s τ − (s τ)²/Δt) ẏ(Ad(T) ·) − ½ (s' τ + (s' τ)²/Δt) ẏ(·).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -44,12 +48,23 @@ shutters show at most 2.3 at any time (``benchmarks/rolling_shutter.py``)."""
 
 
 class Twists(NamedTuple):
-    """The velocities of the camera at the two frames of a step."""
+    """The velocities of the camera at the two frames of a step, between which they change
+    evenly."""
 
     prev: FloatArray
     """Twist of T_curr_prev per second at the previous frame, in the axes of that frame, [6]."""
     curr: FloatArray
     """The same at the current frame."""
+    duration_s: float = math.inf
+    """Time between the two frames; infinite if neither velocity changes while a frame is read."""
+    are_estimated: bool = False
+    """Whether their change in this step has been estimated; otherwise it is that of two steps."""
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """Rate of change a, [6], m/s² and rad/s²."""
+        change: FloatArray = self.curr - self.prev
+        return change / self.duration_s
 
 
 class ReadoutTime(NamedTuple):
@@ -75,19 +90,31 @@ class ReadoutTime(NamedTuple):
 
 
 def without_readout(
-    pixels: FloatArray, readout_s: float, twist: FloatArray, camera: StereoCamera
+    pixels: FloatArray,
+    readout_s: float,
+    twist: FloatArray,
+    camera: StereoCamera,
+    acceleration: FloatArray | None = None,
 ) -> FloatArray:
     """Return observations [N, 4], px, moved from the time of their rows to that of the frame.
 
     Args:
         pixels: the observations; left and right have the same time.
         readout_s: τ.
-        twist: Log(T_curr_prev) per second, [6], m/s and rad/s.
+        twist: ξ, that of the frame, [6], m/s and rad/s.
         camera: the rectified camera.
+        acceleration: a, [6], m/s² and rad/s²; zero if not given.
     """
     corrected: FloatArray = np.array(pixels, np.float64, order="C")
     if readout_s:
-        _remove_readout(corrected, twist, Intrinsics.of(camera), image_height(camera), readout_s)
+        _remove_readout(
+            corrected,
+            twist,
+            np.zeros(6) if acceleration is None else acceleration,
+            camera=Intrinsics.of(camera),
+            height=image_height(camera),
+            readout_s=readout_s,
+        )
     return corrected
 
 
@@ -96,6 +123,8 @@ def readout_sensitivity(
     twists: Twists,
     camera: StereoCamera,
     refined: FloatArray,
+    *,
+    readout_s: float,
     sensitivity: FloatArray,
 ) -> None:
     """Fill in ∂e/∂τ, [N, 4], px/s, of e = y' − f(T g(y)).
@@ -105,16 +134,58 @@ def readout_sensitivity(
         twists: the velocities at the two frames.
         camera: the rectified camera.
         refined: the points in the previous frame, (u, v, d), [N, 3], px.
+        readout_s: τ, by which the observations were corrected.
         sensitivity: filled in; zero behind the camera.
     """
+    adjoint = se3.adjoint(T)
     _fill_sensitivity(
         T,
-        Twists(se3.adjoint(T) @ twists.prev, twists.curr),
         Intrinsics.of(camera),
         image_height(camera),
         refined=refined,
+        by_row=_ByRow(
+            prev=(adjoint @ twists.prev)[:, None],
+            prev_rate=readout_s * (adjoint @ twists.acceleration)[:, None],
+            curr=-twists.curr[:, None],
+            curr_rate=-readout_s * twists.acceleration[:, None],
+        ),
+        sensitivity=sensitivity[:, :, None],
+    )
+
+
+def change_sensitivity(
+    T: FloatArray,
+    readout_s: float,
+    duration_s: float,
+    camera: StereoCamera,
+    refined: FloatArray,
+) -> FloatArray:
+    """Return ∂e/∂(ξ' − ξ), [N, 4, 6], px/(m/s) and px/(rad/s), of e = y' − f(T g(y)).
+
+    Args:
+        T: T_curr_prev, [4, 4].
+        readout_s: τ, by which the observations were corrected.
+        duration_s: time between the two frames.
+        camera: the rectified camera.
+        refined: the points in the previous frame, (u, v, d), [N, 3], px; zero behind the camera.
+    """
+    sensitivity = np.empty((len(refined), 4, 6))
+    adjoint = se3.adjoint(T)
+    half = 0.5 * readout_s
+    _fill_sensitivity(
+        T,
+        Intrinsics.of(camera),
+        image_height(camera),
+        refined=refined,
+        by_row=_ByRow(
+            prev=-half * adjoint,
+            prev_rate=half * readout_s / duration_s * adjoint,
+            curr=-half * np.eye(6),
+            curr_rate=-half * readout_s / duration_s * np.eye(6),
+        ),
         sensitivity=sensitivity,
     )
+    return sensitivity
 
 
 def image_height(camera: StereoCamera) -> float:
@@ -123,9 +194,25 @@ def image_height(camera: StereoCamera) -> float:
     return float(camera.size_px[1]) if camera.size_px else 2.0 * camera.cv_px + 1.0
 
 
+class _ByRow(NamedTuple):
+    """K twists, in the axes of the current frame, by the rows of a point in either frame: s (prev +
+    s prev_rate) + s' (curr + s' curr_rate), [6, K] each."""
+
+    prev: FloatArray
+    prev_rate: FloatArray
+    curr: FloatArray
+    curr_rate: FloatArray
+
+
 @compiled
 def _remove_readout(
-    pixels: FloatArray, twist: FloatArray, camera: Intrinsics, height: float, readout_s: float
+    pixels: FloatArray,
+    twist: FloatArray,
+    acceleration: FloatArray,
+    *,
+    camera: Intrinsics,
+    height: float,
+    readout_s: float,
 ) -> None:
     """Move observations, [N, 4], px, to the time of the frame.
 
@@ -136,7 +223,7 @@ def _remove_readout(
     point = np.empty(3)
     for n in range(len(pixels)):
         row_time_s = readout_s * (pixels[n, 1] / (height - 1.0) - 0.5)
-        perturb(-row_time_s * twist, identity, T)
+        perturb(-row_time_s * (twist + 0.5 * row_time_s * acceleration), identity, T)
         point[0] = pixels[n, 0]
         point[1] = pixels[n, 1]
         point[2] = pixels[n, 0] - pixels[n, 2]
@@ -153,14 +240,14 @@ def _remove_readout(
 @compiled
 def _fill_sensitivity(
     T: FloatArray,
-    twists: Twists,
     camera: Intrinsics,
     height: float,
     *,
     refined: FloatArray,
+    by_row: _ByRow,
     sensitivity: FloatArray,
 ) -> None:
-    """Fill in ∂e/∂τ; both twists are in the axes of the current frame."""
+    """Fill in the image velocity ẏ by each of K twists, [N, 4, K]."""
     twist = np.empty(6)
     for n in range(len(refined)):
         X, Y, Z, rho = transfer(T, camera, refined[n])
@@ -173,13 +260,16 @@ def _fill_sensitivity(
         share = refined[n, 1] / (height - 1.0) - 0.5
         share_curr = (camera.fv * y + camera.cv) / (height - 1.0) - 0.5
         # ẏ is linear in the twist.
-        for k in range(len(twist)):
-            twist[k] = share * twists.prev[k] - share_curr * twists.curr[k]
-        rate_x, rate_y, rate_z = velocity_over_depth(x, y, inverse_depth, twist)
-        u_move = camera.fu * (rate_x - x * rate_z)
-        v_move = camera.fv * (rate_y - y * rate_z)
-        d_move = -camera.fb * inverse_depth * rate_z
-        sensitivity[n, 0] = u_move
-        sensitivity[n, 1] = v_move
-        sensitivity[n, 2] = u_move - d_move
-        sensitivity[n, 3] = v_move
+        for k in range(sensitivity.shape[2]):
+            for i in range(len(twist)):
+                prev = by_row.prev[i, k] + share * by_row.prev_rate[i, k]
+                curr = by_row.curr[i, k] + share_curr * by_row.curr_rate[i, k]
+                twist[i] = share * prev + share_curr * curr
+            rate_x, rate_y, rate_z = velocity_over_depth(x, y, inverse_depth, twist)
+            u_move = camera.fu * (rate_x - x * rate_z)
+            v_move = camera.fv * (rate_y - y * rate_z)
+            d_move = -camera.fb * inverse_depth * rate_z
+            sensitivity[n, 0, k] = u_move
+            sensitivity[n, 1, k] = v_move
+            sensitivity[n, 2, k] = u_move - d_move
+            sensitivity[n, 3, k] = v_move

@@ -23,9 +23,12 @@ from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rolling_shutter import Twists, readout_sensitivity
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
+from probevo.estimation.joint_equations import JointEquations
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
-from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
-from probevo.estimation.rig_update_numba import disparity_sensitivities, weigh_columns
+from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter
+from probevo.estimation.rig_update_numba import disparity_sensitivities
+from probevo.estimation.velocity_change import ChangeUnknown
+from probevo.measurements.jitter_numba import DOF
 from probevo.tracking.tracks import Tracks
 
 _FIELD = slice(3, 3 + NUM_COEFFICIENTS)
@@ -77,6 +80,8 @@ def update_rig(
     solution: ReprojectionSolution,
     camera: StereoCamera,
     twists: Twists,
+    *,
+    change: ChangeUnknown | None = None,
 ) -> tuple[RigCalibration, CommonMode]:
     """Update the errors of the images (b₁, b₂ and the distortion field), the readout time τ of
     their shutter, the jitter and the focal-length error ε, and return how errors of these move the
@@ -84,10 +89,10 @@ def update_rig(
 
     With D = ∂e/∂(b₀, c, a₆, ε, τ), where c are b₁, b₂ and the distortion field, and J = −∂e/∂ξ (and
     −∂e/∂η, if the noise has a jitter), c, ε and τ are estimated from the joint normal equations,
-    from which motion and jitter are eliminated (Schur complement). a₆ is estimated from the rows,
-    and c is conditional on it. The solution need not be at the optimum, but it must use these two
-    frames alone: the disparity filter was fed with observations that were corrected by earlier
-    calibrations, and would confirm these.
+    from which motion, jitter and the change of the velocity are eliminated (Schur complement). a₆
+    is estimated from the rows, and c is conditional on it. The solution need not be at the optimum,
+    but it must use these two frames alone: the disparity filter was fed with observations that were
+    corrected by earlier calibrations, and would confirm these.
 
     Args:
         rig: the estimate before this step.
@@ -95,6 +100,7 @@ def update_rig(
         solution: the motion from these two frames alone.
         camera: the rectified camera.
         twists: the velocities at the two frames.
+        change: their change in the step, if it is another unknown.
 
     Returns:
         The estimate after the step, and how errors of the one before it move the motion. Such an
@@ -104,55 +110,22 @@ def update_rig(
     # A loss that descends to zero may have rejected all features.
     if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
         return rig, CommonMode.none()
-    equations = _joint_equations(tracks, solution, camera, twists)
+    D = calibration_sensitivity(tracks, solution, camera, twists, readout_s=rig.image.readout_s)
+    if change is None:
+        equations = JointEquations.of(D, solution)
+    else:
+        D_both = np.concatenate([change.sensitivity, D], axis=2)
+        equations = JointEquations.of(D_both, solution).eliminating(
+            len(change.value), change.prior_information, change.prior_gradient
+        )
     updated = _updated_rig(rig, solution, equations, novelty=tracks.novelty)
     return updated, _common_mode(rig, solution, equations)
-
-
-class _JointEquations(NamedTuple):
-    """Normal equations of motion and jitter, (ξ, η), and of the R errors of the calibration, (b₀,
-    c, a₆, ε, τ): [[H, −C], [−Cᵀ, B]], with the gradients of the log-likelihood by both.
-
-    H is ``ReprojectionSolution.full_hessian``. C has a minus since J is the derivative of the
-    prediction, and D that of the residual.
-    """
-
-    cross: FloatArray
-    """C = Σ w Jᵀ Σ⁻¹ D, [m, R], with m = 6, or 12 with a jitter."""
-    of_calibration: FloatArray
-    """B = Σ w Dᵀ Σ⁻¹ D, [R, R]."""
-    motion_gradient: FloatArray
-    """By (ξ, η), with the prior of η, [m]."""
-    calibration_gradient: FloatArray
-    """By the errors of the calibration, without their prior, [R]."""
-
-
-def _joint_equations(
-    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera, twists: Twists
-) -> _JointEquations:
-    """Sum the normal equations over N tracks, with the robust weights of their solution."""
-    D = calibration_sensitivity(tracks, solution, camera, twists)
-    # w Σ⁻¹ (D, e): both at once.
-    D_and_residual = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
-    weighted = np.empty_like(D_and_residual)
-    weigh_columns(solution.information, solution.irls_weight, D_and_residual, weighted)
-    by_motion = sum_products(solution.full_jacobian, weighted)
-    by_calibration = sum_products(D, weighted)
-    motion_gradient = by_motion[:, -1]
-    if solution.jitter is not None:
-        motion_gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
-    return _JointEquations(
-        cross=by_motion[:, :-1],
-        of_calibration=by_calibration[:, :-1],
-        motion_gradient=motion_gradient,
-        calibration_gradient=-by_calibration[:, -1],
-    )
 
 
 def _updated_rig(
     rig: RigCalibration,
     solution: ReprojectionSolution,
-    equations: _JointEquations,
+    equations: JointEquations,
     *,
     novelty: float,
 ) -> RigCalibration:
@@ -164,14 +137,10 @@ def _updated_rig(
         equations: those of the step.
         novelty: of the step, see ``Tracks``.
     """
-    # Eliminate (ξ, η): the Schur complement on (b₀, c, a₆, ε, τ) is B − Cᵀ H⁻¹ C, and its gradient
-    # g_rig + Cᵀ H⁻¹ g_motion. The step is that of (ξ, η) with the calibration held.
-    C = equations.cross
-    solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, equations.motion_gradient]))
-    gain = solved[:, :-1]
-    step = solved[:, -1].astype(float)
-    gradient = gain.T @ equations.motion_gradient + equations.calibration_gradient
-    information = equations.of_calibration - C.T @ gain
+    # Without (ξ, η) and the change; their step is that with the calibration held.
+    eliminated = equations.solved()
+    information = eliminated.information
+    gradient = eliminated.gradient
     updated = rig
     if solution.exceeds_noise:
         updated = rig.with_image_errors(
@@ -200,13 +169,15 @@ def _updated_rig(
     )
     updated = replace(updated, focal=focal)
     if solution.jitter is not None and solution.exceeds_noise:
-        jitter = _updated_jitter(rig.jitter, solution.jitter, step[6:], novelty=novelty)
+        jitter = _updated_jitter(
+            rig.jitter, solution.jitter, eliminated.step[6 : 6 + DOF], novelty=novelty
+        )
         updated = replace(updated, jitter=jitter)
     return updated
 
 
 def _common_mode(
-    rig: RigCalibration, solution: ReprojectionSolution, equations: _JointEquations
+    rig: RigCalibration, solution: ReprojectionSolution, equations: JointEquations
 ) -> CommonMode:
     """Return how errors of the calibration move the motion of a step: Schmidt's consider term.
 
@@ -273,10 +244,23 @@ def _updated_jitter(
 
 
 def calibration_sensitivity(
-    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera, twists: Twists
+    tracks: Tracks,
+    solution: ReprojectionSolution,
+    camera: StereoCamera,
+    twists: Twists,
+    *,
+    readout_s: float = 0.0,
 ) -> FloatArray:
     """Return ∂e/∂(b₀, b₁, b₂, field, a₆, ε, τ), [N, 4, 6 + NUM_COEFFICIENTS], where the field has
-    its coefficients, ε is the error of log f (``camera.focal_length``), and τ the readout time."""
+    its coefficients, ε is the error of log f (``camera.focal_length``), and τ the readout time.
+
+    Args:
+        tracks: the N tracks of the solution, corrected by the calibration.
+        solution: the motion from these two frames alone.
+        camera: the rectified camera.
+        twists: the velocities at the two frames.
+        readout_s: the readout time by which the tracks were corrected.
+    """
     sensitivity = np.empty((len(tracks), 4, 6 + NUM_COEFFICIENTS))
     intrinsics = Intrinsics.of(camera)
     of_disparity = np.empty((len(tracks), 4, 4))
@@ -311,6 +295,11 @@ def calibration_sensitivity(
         solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _EPSILON]
     )
     readout_sensitivity(
-        solution.T_curr_prev, twists, camera, solution.refined, sensitivity[:, :, _READOUT]
+        solution.T_curr_prev,
+        twists,
+        camera,
+        solution.refined,
+        readout_s=readout_s,
+        sensitivity=sensitivity[:, :, _READOUT],
     )
     return sensitivity

@@ -9,25 +9,27 @@ again once they are known:
   covariance, as in the first frames of a rig that flexes more than the prior.
 - Times. If the right camera is exposed at another time than the left one, or rows at other times
   than the middle one, the correction depends on the motion: the tracks are corrected with the
-  solved motion, and solved again.
+  solved motion, and solved again. Where rows show how the velocity changes in the step
+  (``estimation.velocity_change``), they are corrected by that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
-from probevo.camera.rolling_shutter import Twists
+from probevo.camera.rolling_shutter import Twists, change_sensitivity
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.rig_update import CommonMode, update_rig
+from probevo.estimation.velocity_change import ChangeUnknown, estimate_change
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
 from probevo.geometry import se3
 from probevo.stage_clock import StageClock
@@ -35,6 +37,8 @@ from probevo.tracking.corrected_tracks import CorrectedTracks
 
 MAX_REPEATED_SOLVES = 3
 """Largest number of repeated solves because of more jitter than expected."""
+CHANGE_ITERATIONS = 2
+"""Gauss–Newton iterations of the change of the velocity, with a solve of the motion each."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,9 @@ class CalibratedMotion:
     """How they move the solved motion, which other measurements hold."""
     jitter_cov: FloatArray | None
     """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without any."""
+    velocity_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    """What the velocity within the step, as far as it is unknown, adds to the covariance of the
+    motion, [6, 6]; zero for a global shutter."""
 
     def accepted(self) -> MotionEstimate:
         """Return the motion of an accepted solve.
@@ -66,7 +73,7 @@ class CalibratedMotion:
             T_curr_prev=solution.T_curr_prev,
             # An error of the calibration is the same for all features and does not average out:
             # add Schmidt's consider term.
-            cov=solution.cov + common_mode @ common_mode.T,
+            cov=solution.cov + common_mode @ common_mode.T + self.velocity_cov,
             status=visual.status,
             num_tracks=len(self.corrected.tracks),
             num_inliers=visual.num_inliers,
@@ -104,6 +111,68 @@ class CalibratedMotion:
         )
 
 
+@dataclass(frozen=True)
+class _StepVelocity:
+    """The velocity at the two frames of a step, by its mean between them and by its change."""
+
+    duration_s: float
+    last_twist: FloatArray | None
+    """Twist per second of the previous step, [6]; None if it is not known, and that of this step
+    stands for both frames."""
+    change_cov: FloatArray
+    """Covariance of the change of the twist in the step, given that from the last one, [6, 6]."""
+    estimated: FloatArray | None = None
+    """Its change from one frame to the other, [6], if that has been estimated."""
+
+    def twists(self, solution: ReprojectionSolution) -> Twists:
+        """Return the velocities at the two frames, for the motion of the step."""
+        mean = self._mean(solution)
+        change = self._change(solution)
+        return Twists(
+            prev=mean - 0.5 * change,
+            curr=mean + 0.5 * change,
+            duration_s=self.duration_s,
+            are_estimated=self.estimated is not None,
+        )
+
+    def unknown(
+        self, solution: ReprojectionSolution, readout_s: float, camera: StereoCamera
+    ) -> ChangeUnknown | None:
+        """Return the change as an unknown of the step; None where rows do not show it.
+
+        Args:
+            solution: the motion from the two frames alone.
+            readout_s: the readout time by which its tracks were corrected.
+            camera: the rectified camera.
+        """
+        if self.last_twist is None or not readout_s:
+            return None
+        return ChangeUnknown(
+            value=self._change(solution),
+            sensitivity=change_sensitivity(
+                solution.T_curr_prev,
+                readout_s,
+                self.duration_s,
+                camera,
+                refined=solution.refined,
+            ),
+            prior_mean=self._mean(solution) - self.last_twist,
+            prior_cov=self.change_cov,
+        )
+
+    def _change(self, solution: ReprojectionSolution) -> FloatArray:
+        """Return the change, [6]: unless it has been estimated, that from the last step's mean to
+        that of this one."""
+        if self.estimated is not None:
+            return self.estimated
+        if self.last_twist is None:
+            return np.zeros(6)
+        return self._mean(solution) - self.last_twist
+
+    def _mean(self, solution: ReprojectionSolution) -> FloatArray:
+        return se3.log(solution.T_curr_prev) / self.duration_s
+
+
 class SelfCalibratingEstimator:
     """The visual estimator together with online calibration of the rig.
 
@@ -122,7 +191,7 @@ class SelfCalibratingEstimator:
         phi: FloatArray,
         priors: MotionPriors,
         *,
-        last_twist: FloatArray,
+        motion_model: MotionModel,
         duration_s: float,
         seed: Sequence[int],
         clock: StageClock,
@@ -133,34 +202,70 @@ class SelfCalibratingEstimator:
             corrected: the N tracks.
             phi: the predictors of these tracks, [N, M].
             priors: what is known about the step before its tracks are used.
-            last_twist: twist per second of the previous step, [6].
+            motion_model: with the velocity of the previous step.
             duration_s: time between the two frames.
             seed: of RANSAC's samples; every repeated solve draws the same ones.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
-        last = last_twist if corrected.knows_velocity else None
-        found = self._solve_until_jitter_fits(
-            corrected, phi, priors, last, duration_s, seed=seed, clock=clock
+        velocity = _StepVelocity(
+            duration_s,
+            last_twist=motion_model.twist if corrected.knows_velocity else None,
+            change_cov=motion_model.change_cov(duration_s) / duration_s**2,
         )
-        if found.visual.status is Status.OK and _depends_on_velocity(corrected.rig):
-            twists = _twists(found.visual.accepted_solution, last, duration_s)
-            corrected = corrected.at_twists(twists, self._camera)
-            found = self._solve_until_jitter_fits(
-                corrected, phi, priors, last, duration_s, seed=seed, clock=clock
+
+        def solve(tracks: CorrectedTracks, velocity: _StepVelocity) -> CalibratedMotion:
+            return self._solve_until_jitter_fits(
+                tracks, phi, priors, velocity, seed=seed, clock=clock
             )
+
+        found = solve(corrected, velocity)
+        first = found.visual.solution
+        if first is not None and _depends_on_velocity(corrected.rig):
+            # It has been solved under the velocity of the last step, and need not have converged.
+            twists = velocity.twists(first)
+            found = solve(corrected.at_twists(twists, self._camera), velocity)
+            found = self._with_change(found, velocity, solve)
         if found.visual.status is not Status.OK:
             # Keep the row offsets, which need no motion, and discard all else: the motion that it
             # depends on was rejected.
-            return replace(found, rig=corrected.rig)
+            return replace(found, rig=found.corrected.rig)
         return replace(found, rig=self._rig_with_delay(found, duration_s))
+
+    def _with_change(
+        self,
+        found: CalibratedMotion,
+        velocity: _StepVelocity,
+        solve: Callable[[CorrectedTracks, _StepVelocity], CalibratedMotion],
+    ) -> CalibratedMotion:
+        """Return the motion of a step with the change of the velocity that a rolling shutter shows.
+
+        Args:
+            found: the motion for the change from the last step to this one.
+            velocity: that change.
+            solve: solves for the motion of tracks under a velocity.
+        """
+        for _ in range(CHANGE_ITERATIONS):
+            solution = found.visual.two_frames_only
+            if found.visual.solution is None or solution is None:
+                break
+            unknown = velocity.unknown(solution, found.corrected.readout_s, self._camera)
+            if unknown is None:
+                break
+            change = estimate_change(unknown, solution)
+            velocity = replace(velocity, estimated=change.mean)
+            twists = velocity.twists(solution)
+            again = solve(found.corrected.at_twists(twists, self._camera), velocity)
+            if again.visual.status is not Status.OK and found.visual.status is Status.OK:
+                break
+            found = replace(again, velocity_cov=change.motion_cov)
+        return found
 
     def _solve_until_jitter_fits(
         self,
         corrected: CorrectedTracks,
         phi: FloatArray,
         priors: MotionPriors,
-        last_twist: FloatArray | None,
-        duration_s: float,
+        velocity: _StepVelocity,
         *,
         seed: Sequence[int],
         clock: StageClock,
@@ -196,7 +301,8 @@ class SelfCalibratingEstimator:
                 used,
                 two_frames,
                 self._camera,
-                _twists(two_frames, last_twist, duration_s),
+                velocity.twists(two_frames),
+                change=velocity.unknown(two_frames, corrected.readout_s, self._camera),
             )
             if not repeats_left or not updated.jitter.exceeds(jitter_cov):
                 break
@@ -233,25 +339,6 @@ def _depends_on_velocity(rig: RigCalibration | None) -> bool:
     if rig is None:
         return False
     return is_noticeable(rig.delay.delay_s) or rig.image.readout_s != 0.0
-
-
-def _twists(
-    solution: ReprojectionSolution, last_twist: FloatArray | None, duration_s: float
-) -> Twists:
-    """Return the velocities at the two frames of a step.
-
-    A twist is the mean velocity of a step; those of the last step and of this one are interpolated
-    to the frames.
-
-    Args:
-        solution: the motion of the step.
-        last_twist: twist per second of the previous step, [6]; None if it is not known, and that of
-            this step stands for both.
-        duration_s: time between the two frames.
-    """
-    twist = se3.log(solution.T_curr_prev) / duration_s
-    twist_change = np.zeros(6) if last_twist is None else twist - last_twist
-    return Twists(prev=twist - 0.5 * twist_change, curr=twist + 0.5 * twist_change)
 
 
 def _held_by(

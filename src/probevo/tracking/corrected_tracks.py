@@ -76,6 +76,13 @@ class CorrectedTracks:
             knows_velocity=twists is not None,
         )
 
+    @property
+    def readout_s(self) -> float:
+        """The readout time that was removed; 0 while the velocity is unknown."""
+        if self.prior_rig is None or not self.knows_velocity:
+            return 0.0
+        return self.prior_rig.image.readout_s
+
     def at_twists(self, twists: Twists, camera: StereoCamera) -> CorrectedTracks:
         """Correct the same raw tracks again with better estimates of the velocities."""
         return CorrectedTracks.of(self.raw, self.prior_rig, camera, twists)
@@ -87,24 +94,27 @@ def _at_times_of_frames(
     """Return the tracks with the exposure delay of the right camera and the readout of the rows
     removed, under the velocities at the two frames.
 
-    These are interpolated between the means of steps. A camera that shakes has others, by about as
-    much as the velocity changes in a step, and what delay and readout move is wrong by that.
+    Unless their change in this step has been estimated, these are interpolated between the means of
+    steps. A camera that shakes has others, by about as much as the velocity changes in a step, and
+    what delay and readout move is wrong by that.
     """
     if not rig.delay.delay_s and not rig.image.readout_s:
         return raw
-    curr_px = _at_time_of_frame(raw.curr_px, rig, camera, twists.curr)
-    of_other_frame = _at_time_of_frame(raw.curr_px, rig, camera, twists.prev)
+
+    def moved(pixels: FloatArray, twist: FloatArray) -> FloatArray:
+        """Return the observations of one frame, [N, 4], px, under the velocity there."""
+        of_one_time = without_delay(pixels, rig.delay.delay_s, twist, camera)
+        return without_readout(
+            of_one_time, rig.image.readout_s, twist, camera, acceleration=twists.acceleration
+        )
+
+    curr_px = moved(raw.curr_px, twists.curr)
+    velocity_error_px = None
+    if not twists.are_estimated:
+        velocity_error_px = curr_px - moved(raw.curr_px, twists.prev)
     return replace(
         raw,
-        prev_px=_at_time_of_frame(raw.prev_px, rig, camera, twists.prev),
+        prev_px=moved(raw.prev_px, twists.prev),
         curr_px=curr_px,
-        velocity_error_px=curr_px - of_other_frame,
+        velocity_error_px=velocity_error_px,
     )
-
-
-def _at_time_of_frame(
-    pixels: FloatArray, rig: RigCalibration, camera: StereoCamera, twist: FloatArray
-) -> FloatArray:
-    """Return the observations [N, 4], px, of one frame, under the velocity there."""
-    of_one_time = without_delay(pixels, rig.delay.delay_s, twist, camera)
-    return without_readout(of_one_time, rig.image.readout_s, twist, camera)

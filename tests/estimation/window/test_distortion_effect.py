@@ -13,6 +13,8 @@ from probevo.geometry import se3
 from worlds import FORWARD, image_errors
 
 STEPS = 5
+NO_COV = np.zeros((6, 6))
+"""The velocity within a step is known."""
 
 
 def of_lenses(distortion_px: FloatArray) -> ImageErrors:
@@ -44,7 +46,9 @@ def walked(
     errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     for gain, used_px in zip(gains, used, strict=True):
         effect = effect.carried_to_new(-1, FORWARD)
-        effect = effect.with_step(moves(gain), used=of_lenses(used_px), errors=errors)
+        effect = effect.with_step(
+            moves(gain), used=of_lenses(used_px), errors=errors, velocity_cov=NO_COV
+        )
     return effect, gains, used, errors
 
 
@@ -91,7 +95,9 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
             gain = sign * rng.normal(size=(6, NUM_COEFFICIENTS))
             focal_gain = sign * np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
             effect = effect.carried_to_new(-1, FORWARD)
-            effect = effect.with_step(moves(gain, focal_gain), used=errors, errors=errors)
+            effect = effect.with_step(
+                moves(gain, focal_gain), used=errors, errors=errors, velocity_cov=NO_COV
+            )
             moved = focal_gain + gain @ errors.distortion_shift_by_focal
             expected = adjoint @ expected + moved
         claimed = effect.of_pose(2) - effect.sensitivity[2] @ effect.cov @ effect.sensitivity[2].T
@@ -120,7 +126,9 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
         readout_gain = rng.normal(size=6)
         effect = effect.carried_to_new(-1, FORWARD)
-        effect = effect.with_step(moves(gain, readout_gain=readout_gain), used=used, errors=noticed)
+        effect = effect.with_step(
+            moves(gain, readout_gain=readout_gain), used=used, errors=noticed, velocity_cov=NO_COV
+        )
         error = error @ adjoint.T + fields @ gain.T
         error += np.outer(readout_s - used.readout_s, readout_gain)
     claimed = effect.of_pose(STEPS)
@@ -131,7 +139,9 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
     )
     # Until it is noticed, the shutter is taken for a global one.
     effect = DistortionEffect.none().carried_to_new(-1, FORWARD)
-    effect = effect.with_step(moves(gain, readout_gain=readout_gain), used=known, errors=known)
+    effect = effect.with_step(
+        moves(gain, readout_gain=readout_gain), used=known, errors=known, velocity_cov=NO_COV
+    )
     np.testing.assert_allclose(effect.of_pose(1), gain @ known.distortion_cov @ gain.T, atol=1e-18)
 
 
@@ -143,7 +153,7 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
     for _ in range(STEPS):
         effect = effect.carried_to_new(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
-        effect = effect.with_step(moves(gain), used=errors, errors=errors)
+        effect = effect.with_step(moves(gain), used=errors, errors=errors, velocity_cov=NO_COV)
     np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
 
 
@@ -153,3 +163,23 @@ def test_frames_are_left_out_by_mask_and_by_slice() -> None:
     np.testing.assert_array_equal(effect.subset(slice(1, None)).of_pose(STEPS - 1), last)
     keep = np.array([True, False, True, True, False, True])
     np.testing.assert_array_equal(effect.subset(keep).of_pose(3), last)
+
+
+def test_what_is_unknown_of_the_velocity_moves_the_pose_of_its_frame_only() -> None:
+    """Half of it is that of either frame: the motion of two that follow each other has all."""
+    rng = np.random.default_rng(4)
+    errors = of_lenses(np.zeros(NUM_COEFFICIENTS))
+    root = rng.normal(size=(6, 6))
+    cov = root @ root.T
+    effect = DistortionEffect.none()
+    for _ in range(2):
+        effect = effect.carried_to_new(-1, np.eye(4))
+        effect = effect.with_step(CommonMode.none(), used=errors, errors=errors, velocity_cov=cov)
+    effect = effect.carried_to_new(-1, np.eye(4))
+    np.testing.assert_allclose(effect.of_pose(2), 0.5 * cov)
+    np.testing.assert_allclose(effect.of_pose(3), 0.0)
+    np.testing.assert_allclose(effect.between(2, 1, np.eye(6)), cov)
+    np.testing.assert_allclose(effect.between(2, 2, np.eye(6)), 0.0)
+    turned = se3.adjoint(FORWARD)
+    np.testing.assert_allclose(effect.between(3, 2, turned), turned @ (0.5 * cov) @ turned.T)
+    np.testing.assert_allclose(effect.subset(slice(2, None)).of_pose(0), 0.5 * cov)

@@ -20,8 +20,10 @@ moment has the term E[ε²] (F_k + S_k ∂c/∂ε)(…)ᵀ besides.
 
 The readout time τ of a rolling shutter (``camera.rolling_shutter``) is corrected from the frame on
 in which it is noticeable. Like c, it has a gain, which adds up to R_k, and corrections, which add
-up to r_k; so poses before that frame are known to be off by R_k τ̂ − r_k. For a global shutter, all
-of this is zero.
+up to r_k; so poses before that frame are known to be off by R_k τ̂ − r_k. What a step has left
+unknown of the velocity at its two frames (``estimation.velocity_change``) is new in each frame, and
+moves its pose only: each frame has half of the covariance that this adds to the motion of the step.
+For a global shutter, all of this is zero.
 """
 
 from __future__ import annotations
@@ -66,6 +68,9 @@ class DistortionEffect:
     """Its standard deviation; 0 until it is noticeable."""
     shift_by_readout: FloatArray
     """∂c/∂τ, [NUM_COEFFICIENTS], px/s."""
+    velocity_cov: FloatArray
+    """What is unknown of the velocity at each frame adds this to the covariance of its pose,
+    [K, 6, 6]."""
     variation: FieldVariation
     """The part of the field that changes from place to place."""
     sigma_px: float
@@ -87,6 +92,7 @@ class DistortionEffect:
             readout_s=0.0,
             readout_sigma_s=0.0,
             shift_by_readout=np.zeros(NUM_COEFFICIENTS),
+            velocity_cov=np.zeros((1, POSE, POSE)),
             variation=FieldVariation.none(),
             sigma_px=0.0,
         )
@@ -100,6 +106,7 @@ class DistortionEffect:
             focal_sensitivity=self.focal_sensitivity[frames],
             readout_sensitivity=self.readout_sensitivity[frames],
             readout_corrected=self.readout_corrected[frames],
+            velocity_cov=self.velocity_cov[frames],
             variation=self.variation.subset(frames),
         )
 
@@ -118,6 +125,7 @@ class DistortionEffect:
             focal_sensitivity=carried(self.focal_sensitivity),
             readout_sensitivity=carried(self.readout_sensitivity),
             readout_corrected=carried(self.readout_corrected),
+            velocity_cov=np.concatenate([self.velocity_cov, np.zeros((1, POSE, POSE))]),
             variation=self.variation.carried_to_new(prev, T_curr_prev),
         )
 
@@ -127,6 +135,7 @@ class DistortionEffect:
         *,
         used: ImageErrors,
         errors: ImageErrors,
+        velocity_cov: FloatArray,
     ) -> DistortionEffect:
         """Return the effect with that of the last step added, and with the newest estimate.
 
@@ -134,6 +143,8 @@ class DistortionEffect:
             motion: how errors of the calibration move the step.
             used: the estimate by which its tracks were corrected.
             errors: the estimate after the step.
+            velocity_cov: what the velocity within the step, as far as it is unknown, adds to the
+                covariance of its motion, [6, 6].
         """
         gain = motion.distortion_gain
         sensitivity = self.sensitivity.copy()
@@ -146,6 +157,8 @@ class DistortionEffect:
         readout_sensitivity[-1] += motion.readout_gain
         readout_corrected = self.readout_corrected.copy()
         readout_corrected[-1] += motion.readout_gain * used.readout_s
+        of_frames = self.velocity_cov.copy()
+        of_frames[-1] += 0.5 * velocity_cov
         return DistortionEffect(
             sensitivity=sensitivity,
             corrected=corrected,
@@ -159,6 +172,7 @@ class DistortionEffect:
             readout_s=errors.readout_s,
             readout_sigma_s=errors.readout_sigma_s,
             shift_by_readout=errors.distortion_shift_by_readout,
+            velocity_cov=of_frames,
             variation=self.variation.with_step(gain),
             sigma_px=errors.distortion_sigma_px,
         )
@@ -172,7 +186,9 @@ class DistortionEffect:
             readout_sensitivity=self.readout_sensitivity[slot],
             readout_corrected=self.readout_corrected[slot],
         )
-        return of_lenses + self.variation.of_pose(slot, self.sigma_px)
+        of_field = of_lenses + self.variation.of_pose(slot, self.sigma_px)
+        moment: FloatArray = of_field + self.velocity_cov[slot]
+        return moment
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
         """Return that of the motion between two frames, with its adjoint, [6, 6]."""
@@ -181,13 +197,18 @@ class DistortionEffect:
             """Return what has been added from the other frame to this one."""
             return np.asarray(of_frames[slot] - adjoint @ of_frames[other])
 
-        return self._second_moment(
+        of_lenses = self._second_moment(
             difference(self.sensitivity),
             difference(self.corrected),
             difference(self.focal_sensitivity),
             readout_sensitivity=difference(self.readout_sensitivity),
             readout_corrected=difference(self.readout_corrected),
         )
+        if slot == other:
+            return of_lenses
+        of_other = adjoint @ self.velocity_cov[other] @ adjoint.T
+        moment: FloatArray = of_lenses + self.velocity_cov[slot] + of_other
+        return moment
 
     def _second_moment(
         self,

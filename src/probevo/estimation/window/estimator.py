@@ -120,7 +120,10 @@ class WindowEstimator:
             return after
         # The motion was solved from tracks that were corrected by the estimate before the step.
         distortion = after.distortion.with_step(
-            solved.common_mode, used=solved.corrected.rig.image, errors=solved.rig.image
+            solved.common_mode,
+            used=solved.corrected.rig.image,
+            errors=solved.rig.image,
+            velocity_cov=solved.velocity_cov,
         )
         return replace(after, distortion=distortion)
 
