@@ -485,3 +485,20 @@ def test_the_change_of_a_motion_is_its_prediction_without_the_error_of_the_veloc
     expected = known.predict(STEP_S, None).cov
     np.testing.assert_allclose(known.change_cov(STEP_S), expected, rtol=1e-6)
     np.testing.assert_allclose(driving().change_cov(STEP_S), expected, rtol=1e-6)
+
+
+def test_the_velocity_changes_by_as_much_as_it_usually_does_and_both_means_are_noisy() -> None:
+    """A hundred steps that change at random, by half of what the settings say, each solved with the
+    same noise."""
+    rng = np.random.default_rng(4)
+    model = driving()
+    configured = model.accelerations / model.acceleration_scale.factors
+    sigma = np.repeat([2e-3, 1e-3], 3)
+    twist = model.twist.copy()
+    for _ in range(100):
+        twist = twist + 0.5 * configured * STEP_S * rng.normal(size=6)
+        T_curr_prev = se3.exp(STEP_S * twist + sigma * rng.normal(size=6))
+        model = model.after_solve(STEP_S, T_curr_prev, np.diag(sigma**2))
+    expected = (0.5 * configured * STEP_S) ** 2 + 2.0 * (sigma / STEP_S) ** 2
+    found = np.diagonal(model.twist_change_cov(STEP_S))
+    np.testing.assert_allclose(np.sqrt(found), np.sqrt(expected), rtol=0.25)

@@ -40,7 +40,7 @@ MODEL = replace(
     MotionModel.at_start(CONFIG.motion_model).after_solve(DURATION_S, TURN, 1e-8 * np.eye(6)),
     twist=MEAN_S - EXPECTED,
 )
-CHANGE_COV = MODEL.change_cov(DURATION_S) / DURATION_S**2
+CHANGE_COV = MODEL.twist_change_cov(DURATION_S)
 
 
 def twists_of(change: FloatArray) -> Twists:

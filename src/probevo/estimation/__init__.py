@@ -3,7 +3,7 @@ frames.
 
 A step is solved by these, from the outermost to the innermost:
 
-    SelfCalibratingEstimator.estimate  → CalibratedMotion      again for jitter or exposure delay
+    SelfCalibratingEstimator.estimate  → CalibratedMotion      again for jitter, delay or readout
     VisualEstimator.estimate           → VisualMotion          RANSAC, noise, accepted or rejected
     TwoFrameEstimator.estimate         → TwoFrameEstimate      one solve, and the disparity filter
     solve_reprojection                 → ReprojectionSolution  weights and covariance

@@ -27,7 +27,8 @@ bound, a wrong stamp would look like any acceleration."""
 class AccelerationScale:
     """Running mean square of the accelerations, in the variances of the settings.
 
-    It only enlarges these: a car that drives evenly now may still brake.
+    What may come is at least as large as by the settings: a car that drives evenly now may still
+    brake.
     """
 
     mean_square: tuple[float, float] = (1.0, 1.0)
@@ -39,6 +40,11 @@ class AccelerationScale:
     def factors(self) -> FloatArray:
         """Factors of the standard deviations of the settings, at least 1, [6]."""
         return np.repeat(np.sqrt(np.maximum(self.mean_square, 1.0)), 3)
+
+    @property
+    def usual_factors(self) -> FloatArray:
+        """Those of the accelerations that were seen, which may be smaller, [6]."""
+        return np.repeat(np.sqrt(self.mean_square), 3)
 
     def after(
         self,

@@ -224,6 +224,20 @@ class MotionModel:
         change = (self._drifted_sigma(duration_s) - self.twist_sigma) * duration_s
         return np.diag(change**2 + MIN_SIGMA**2) + self._cov_by_stamps(duration_s)
 
+    def twist_change_cov(self, duration_s: float) -> FloatArray:
+        """Return the covariance of how the velocity changes within the next step, given how the
+        mean velocity changes from the last step to that one, [6, 6], (m/s)² and (rad/s)².
+
+        Such changes differ from step to step by about as much as they usually amount to, and both
+        means have their noise.
+
+        Args:
+            duration_s: time between the two frames.
+        """
+        usual = self.acceleration_scale.usual_factors * self._configured_accelerations * duration_s
+        noise = np.hypot(self.twist_sigma, MIN_SIGMA / duration_s)
+        return np.diag(usual**2 + 2.0 * noise**2)
+
     def _cov_by_stamps(self, duration_s: float) -> FloatArray:
         """Return the covariance that errors of the stamps give a predicted motion, [6, 6]."""
         # Errors of both stamps change the length of the interval, and so the distance. An error

@@ -210,7 +210,7 @@ class SelfCalibratingEstimator:
         velocity = _StepVelocity(
             duration_s,
             last_twist=motion_model.twist if corrected.knows_velocity else None,
-            change_cov=motion_model.change_cov(duration_s) / duration_s**2,
+            change_cov=motion_model.twist_change_cov(duration_s),
         )
 
         def solve(tracks: CorrectedTracks, velocity: _StepVelocity) -> CalibratedMotion:
