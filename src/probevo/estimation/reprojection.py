@@ -96,6 +96,12 @@ class ReprojectionSolution:
     has none."""
 
     @property
+    def is_determined(self) -> bool:
+        """Whether the features fix all of the motion; a loss that descends to zero may have
+        rejected all of them."""
+        return bool(np.isfinite(self.cov).all() and self.irls_weight.any())
+
+    @property
     def exceeds_noise(self) -> bool:
         """Whether the motion is much more than its noise (``MIN_MOTION``)."""
         xi = se3.log(self.T_curr_prev)

@@ -107,8 +107,7 @@ def update_rig(
         error is the same for all features, so it does not average out, and in all steps, so it adds
         up along the path. If the features do not determine the motion, nothing is updated.
     """
-    # A loss that descends to zero may have rejected all features.
-    if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
+    if not solution.is_determined:
         return rig, CommonMode.none()
     D = calibration_sensitivity(tracks, solution, camera, twists, readout_s=rig.image.readout_s)
     if change is None:

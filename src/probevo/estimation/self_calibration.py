@@ -138,14 +138,14 @@ class _StepVelocity:
     def unknown(
         self, solution: ReprojectionSolution, readout_s: float, camera: StereoCamera
     ) -> ChangeUnknown | None:
-        """Return the change as an unknown of the step; None where rows do not show it.
+        """Return the change as an unknown of the step; None where the features do not show it.
 
         Args:
             solution: the motion from the two frames alone.
             readout_s: the readout time by which its tracks were corrected.
             camera: the rectified camera.
         """
-        if self.last_twist is None or not readout_s:
+        if self.last_twist is None or not readout_s or not solution.is_determined:
             return None
         return ChangeUnknown(
             value=self._change(solution),
