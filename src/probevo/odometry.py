@@ -480,6 +480,12 @@ class StereoOdometry:
                 prediction.window, solved, corrected, two_frame=two_frame, measured=measured
             )
             motion = live_motion(corrected, prediction.window, window)
+            if solved.visual.is_weak and not window.is_blind[-1]:
+                # What features leave open, the window knows by the velocity before.
+                model = state.motion_model.after_solve(
+                    prediction.duration_s, motion.T_curr_prev, motion.cov
+                )
+                updated = replace(updated, motion_model=model)
             fusion = state.fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:

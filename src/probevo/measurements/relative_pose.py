@@ -32,6 +32,10 @@ class RelativePose(RelativeMeasurement):
         super().__init__(covariance, curr, prev, dim=6)
         self.T_curr_prev = as_transform(T_curr_prev, "RelativePose: T_curr_prev")
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return the measured motion, [4, 4]."""
+        return self.T_curr_prev
+
     def residual(self, values: Values) -> FloatArray:
         """Return −Log(T_curr_prev T_measured⁻¹), [6]."""
         return -se3.log(self.motion(values) @ se3.inverse(self.T_curr_prev))

@@ -139,15 +139,15 @@ class WindowEstimator:
     ) -> Window:
         """Return the window after a step without an accepted solve; see ``with_step``."""
         frame = motion.curr.frame
-        if velocity is None or shares is not None:
-            return self.without_features(window, frame, motion, measurements)
-        # Features may show a part of the motion.
-        if step.solved.visual.is_weak:
-            weak = self._with_weak_features(
-                window, step, velocity=velocity, measurements=measurements
-            )
+        # Features may show a part of the motion, and the velocity before the rest; at the start,
+        # the prior of the motion model stands in for that.
+        known = velocity or motion
+        if shares is None and step.solved.visual.is_weak and known.variables[-2].frame == step.prev:
+            weak = self._with_weak_features(window, step, known=known, measurements=measurements)
             if weak is not None:
                 return weak
+        if velocity is None or shares is not None:
+            return self.without_features(window, frame, motion, measurements)
         _, last_cov = window.relative(
             window.slot(velocity.prev.frame), window.slot(velocity.before.frame)
         )
@@ -237,16 +237,18 @@ class WindowEstimator:
         window: Window,
         step: SolvedTracks,
         *,
-        velocity: ConstantVelocity,
+        known: ConstantVelocity | RelativePose,
         measurements: Sequence[Measurement],
     ) -> Window | None:
         """Return the window with one more frame, whose features leave a direction of its motion
-        open, as far ones do; there, the velocity of the step before counts.
+        open, as far ones do; there, the velocity of the step before counts, or a motion by dead
+        reckoning.
 
         Args:
             window: K frames.
             step: the tracks from the frame before the new one.
-            velocity: that it is the same as in the step before.
+            known: that the velocity is the same as in the step before, or a motion between the same
+                frames as the tracks.
             measurements: further measurements of the poses of the window.
 
         Returns:
@@ -258,19 +260,19 @@ class WindowEstimator:
             return None
         tracks, noise = features
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
-        # velocity alone so far off in all others that they look like outliers.
-        expected = velocity.expected(_values(window))
+        # other alone so far off in all others that they look like outliers.
+        expected = known.expected(_values(window))
         difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
-        both = two_frames.hessian + np.linalg.inv(velocity.covariance)
+        both = two_frames.hessian + np.linalg.inv(known.covariance)
         shift = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
         T_curr_prev = se3.exp(shift) @ expected
-        prev = window.slot(velocity.prev.frame)
-        frame = velocity.curr.frame
+        prev = window.slot(step.prev)
+        frame = known.curr.frame
         try:
             extended = self.with_frame(window, frame, T_curr_prev, tracks, noise, prev=prev)
             counted = list(measurements)
             if not extended.inertial.bridges_newest:
-                counted.append(velocity)
+                counted.append(known)
             adjusted = self.adjustment.adjusted(with_measurements(extended, counted))
         except np.linalg.LinAlgError:
             return None
