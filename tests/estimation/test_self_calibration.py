@@ -6,23 +6,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibrated_steps import calibrated
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter, jitter_offsets
 from probevo.camera.rolling_shutter import Twists
 from probevo.config import OdometryConfig
-from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.self_calibration import (
     MAX_REPEATED_SOLVES,
     CalibratedMotion,
-    SelfCalibratingEstimator,
 )
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.geometry import se3
 from probevo.noise import StudentT
-from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, at_infinity, motion_error, seen_twice
@@ -55,16 +53,13 @@ def estimate(
     The jitter that it says the solve assumed is always that of the last one.
     """
     visual = CountedEstimator(CAMERA, StudentT(), CONFIG, predicts_from_motion=False)
-    found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(
-            tracks, rig, CAMERA, twists=None if twist is None else Twists(twist, twist)
-        ),
-        np.zeros((len(tracks), 0)),
-        MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
-        motion_model=MODEL if twist is None else replace(MODEL, twist=twist),
-        duration_s=DURATION_S,
-        seed=(0, 1),
-        clock=StageClock(),
+    twists = None if twist is None else Twists(twist, twist)
+    found = calibrated(
+        visual,
+        CorrectedTracks.of(tracks, rig, CAMERA, twists),
+        MODEL,
+        DURATION_S,
+        last=None if twist is None else replace(MODEL, twist=twist),
     )
     assert found.jitter_cov is visual.last_jitter_cov
     return found, visual.num_solves
@@ -99,15 +94,8 @@ def test_a_jitter_that_the_noise_model_has_learned_is_that_of_the_solve() -> Non
     cov = np.diag([1e-4, 2e-4, 1e-4]) ** 2
     visual = VisualEstimator(CAMERA, StudentT(jitter_cov=cov), CONFIG, predicts_from_motion=False)
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
-    found = SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, None, CAMERA, twists=Twists(TWIST_S, TWIST_S)),
-        np.zeros((len(tracks), 0)),
-        MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
-        motion_model=MODEL,
-        duration_s=DURATION_S,
-        seed=(0, 1),
-        clock=StageClock(),
-    )
+    corrected = CorrectedTracks.of(tracks, None, CAMERA, Twists(TWIST_S, TWIST_S))
+    found = calibrated(visual, corrected, MODEL, DURATION_S)
     np.testing.assert_array_equal(found.jitter_cov, cov)
 
 

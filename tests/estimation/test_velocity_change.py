@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibrated_steps import calibrated
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import RigCalibration
@@ -12,17 +13,15 @@ from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rolling_shutter import Twists, change_sensitivity, without_readout
 from probevo.config import OdometryConfig
 from probevo.estimation import self_calibration
-from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.joint_equations import JointEquations
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.reprojection import solve_reprojection
-from probevo.estimation.self_calibration import CalibratedMotion, SelfCalibratingEstimator
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
+from probevo.estimation.self_calibration import CalibratedMotion
+from probevo.estimation.visual_motion import VisualEstimator
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import Fixed
-from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, seen_twice
@@ -100,15 +99,8 @@ def estimated(tracks: Tracks) -> CalibratedMotion:
     visual = VisualEstimator(
         CAMERA, Fixed(SIGMA_PX**2 * np.eye(4)), CONFIG, predicts_from_motion=False
     )
-    return SelfCalibratingEstimator(CAMERA, visual).estimate(
-        CorrectedTracks.of(tracks, rig, CAMERA, Twists(MODEL.twist, MODEL.twist)),
-        np.zeros((len(tracks), 0)),
-        MotionPriors(MODEL.predict(DURATION_S, None), None, DisparityFilter.none()),
-        motion_model=MODEL,
-        duration_s=DURATION_S,
-        seed=(0, 1),
-        clock=StageClock(),
-    )
+    corrected_tracks = CorrectedTracks.of(tracks, rig, CAMERA, Twists(MODEL.twist, MODEL.twist))
+    return calibrated(visual, corrected_tracks, MODEL, DURATION_S)
 
 
 def average_nees(seen: list[Tracks]) -> float:

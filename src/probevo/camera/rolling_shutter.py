@@ -199,9 +199,13 @@ class _ByRow(NamedTuple):
     s prev_rate) + s' (curr + s' curr_rate), [6, K] each."""
 
     prev: FloatArray
+    """By the row in the previous frame."""
     prev_rate: FloatArray
+    """By its square."""
     curr: FloatArray
+    """By the row in the current frame."""
     curr_rate: FloatArray
+    """By its square."""
 
 
 @compiled

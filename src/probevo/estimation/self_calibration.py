@@ -214,6 +214,7 @@ class SelfCalibratingEstimator:
         )
 
         def solve(tracks: CorrectedTracks, velocity: _StepVelocity) -> CalibratedMotion:
+            """Solve for the motion of these tracks under this velocity."""
             return self._solve_until_jitter_fits(
                 tracks, phi, priors, velocity, seed=seed, clock=clock
             )
