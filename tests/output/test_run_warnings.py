@@ -202,6 +202,17 @@ def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:
     assert said.startswith("The IMU contradicts the images.")
 
 
+def test_where_the_shutter_rolls_the_imu_may_be_right() -> None:
+    reason = "contradicts the images"
+    said = imu_warning(reason, ImuFault.CONTRADICTION, shutter_rolls=True)
+    assert said is not None
+    assert "The IMU may be right: the shutter rolls" in said
+    assert "readout_s" in said
+    usual = imu_warning(reason, ImuFault.CONTRADICTION)
+    assert usual is not None
+    assert "shutter" not in usual
+
+
 @pytest.mark.parametrize("fault", ImuFault)
 def test_a_calibration_is_not_blamed_for_what_the_samples_are_like(fault: ImuFault) -> None:
     said = imu_warning("is at fault", fault)

@@ -82,7 +82,12 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "At rest in a scene that moves": rest_warning(result.steps_at_rest),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
-        "IMU": imu_warning(result.imu_left_out, result.imu_fault, result.imu_unused_from),
+        "IMU": imu_warning(
+            result.imu_left_out,
+            result.imu_fault,
+            result.imu_unused_from,
+            shutter_rolls=result.readout_s != 0.0,
+        ),
         "Truth": truth_warning(result.T_curr_prev, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -242,7 +247,11 @@ def camera_warning(difference: str | None) -> str | None:
 
 
 def imu_warning(
-    reason: str | None, fault: ImuFault | None = None, unused_from: int | None = None
+    reason: str | None,
+    fault: ImuFault | None = None,
+    unused_from: int | None = None,
+    *,
+    shutter_rolls: bool = False,
 ) -> str | None:
     """Warn if the window left out the IMU at the end of the run; else None.
 
@@ -250,6 +259,7 @@ def imu_warning(
         reason: why, a phrase that continues "the IMU …".
         fault: what kind of reason it is, if that is known.
         unused_from: index of the first frame after it was last used; None if it never was.
+        shutter_rolls: whether the readout of a rolling shutter was corrected.
     """
     if not reason:
         return None
@@ -257,6 +267,12 @@ def imu_warning(
     text = f"The IMU {reason}. {since} path is by images alone."
     if fault is not None and fault.is_of_samples:
         return text
+    if shutter_rolls:
+        text += (
+            " The IMU may be right: the shutter rolls, and images contradict it until that is"
+            " noticed, or where the rig is swung. A readout_s in calib.yaml is corrected from the"
+            " start."
+        )
     return (
         f"{text} `probevo calibrate-check SEQUENCE` says whether its unit, mounting or clock is"
         " wrong."
