@@ -157,7 +157,7 @@ def feature_errors(
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", get_args(PresetName))
 def test_correlated_images_agree_with_the_truth_at_a_thousand_points(preset: PresetName) -> None:
-    """Median errors of flow and disparity are below 0.055 px, of rows below 0.02 px.
+    """Median errors of flow are below 0.055 px, of disparity 0.05 px, of rows 0.02 px.
 
     In no direction is the median more than 0.01 px. The points, about as many in time as in stereo,
     come from pairs of frames all along the drive, each image of which is rendered once.
@@ -182,7 +182,7 @@ def test_correlated_images_agree_with_the_truth_at_a_thousand_points(preset: Pre
     medians = [np.median(np.linalg.norm(flow, axis=1)), *np.median(np.abs(stereo), axis=0)]
     print(f"{preset}: flow {medians[0]:.3f}, disparity {medians[1]:.3f}, rows {medians[2]:.3f} px")
     assert medians[0] < 0.055
-    assert medians[1] < 0.055
+    assert medians[1] < 0.05
     assert medians[2] < 0.02
     assert np.abs(np.median(flow, axis=0)).max() < 0.01
     assert np.abs(np.median(stereo, axis=0)).max() < 0.01
