@@ -127,6 +127,19 @@ def test_refusals(
     assert sorted(each.name for each in tmp_path.iterdir()) == ["full", "source"]
 
 
+def test_flags_that_open_a_recording_are_refused_for_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wall = write_wall(tmp_path / "wall", 4)
+    trajectory(wall, tmp_path / "run")
+    words = ["convert", str(tmp_path / "run"), "--out", str(tmp_path / "run.mcap")]
+    assert main([*words, "--calibration", str(wall / "calib.yaml")]) == 2
+    assert "--calibration: is for a recording" in capsys.readouterr().err
+    assert main([*words, "--topics.left", "/left"]) == 2
+    assert "--topics: is for a recording" in capsys.readouterr().err
+    assert main(words) == 0
+
+
 def test_a_file_that_exists_is_never_replaced(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

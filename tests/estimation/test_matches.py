@@ -22,6 +22,25 @@ CAMERA = pv.StereoCamera(400.0, 400.0, 319.5, cv_px=239.5, baseline_m=0.3, size_
 T_TRUE = se3.exp(np.array([0.05, -0.02, -0.4, 0.01, -0.03, 0.005]))
 
 
+class Untyped:
+    """A noise model of the user's own that returns an array."""
+
+    columns = ()
+
+    def predict(self, predictors: FloatArray) -> FloatArray:
+        return np.zeros((len(predictors), 4, 4))
+
+    def check_camera(self, camera: pv.StereoCamera) -> None:
+        pass
+
+
+def test_a_noise_model_that_returns_an_array_is_refused() -> None:
+    prev, curr = matches(np.random.default_rng(0), 20, np.tile(0.01 * np.eye(4), (20, 1, 1)))
+    noise: Any = Untyped()
+    with pytest.raises(InputError, match="its predict returns a ndarray"):
+        pv.estimate_motion(prev, curr, noise, CAMERA)
+
+
 def matches(rng: np.random.Generator, count: int, cov_px2: FloatArray) -> tuple[FloatArray, ...]:
     """Observations of points with Gaussian errors of those covariances, [N, 4, 4]."""
     points = rng.uniform([-4.0, -3.0, 4.0], [4.0, 3.0, 15.0], (count, 3))

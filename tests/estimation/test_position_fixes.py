@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import probevo as pv
 from intervals import chi2_interval
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements import NORTH, Position, pose_of
+from probevo.measurements.base import Measurement, Variable, VectorMeasurement
 from probevo.measurements.north import ORIGIN, attitude_of_enu
 from probevo.measurements.sensor import Sensor
+from probevo.sequences.frame import Frame
 from worlds import CAMERA, FORWARD, drive
 
 LEVER_M = np.array([0.2, -1.1, -0.5])
@@ -89,7 +94,7 @@ def test_wild_fixes_lose_no_receiver(indices: tuple[int, ...], size_m: float) ->
     estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1, points=80)]
     assert estimates[-1].sensors[0].state == "used"
     reasons = {outcome.reason for estimate in estimates for outcome in estimate.sensors}
-    says_so = any(reason and reason.startswith("it starts anew") for reason in reasons)
+    says_so = any(reason and reason.startswith("it is reset") for reason in reasons)
     assert says_so == (indices[0] == 1)
     assert odometry.state is not None
     values = {state.variable: state.value for state in odometry.state.pose.further}
@@ -103,6 +108,35 @@ def test_a_receiver_that_only_lies_is_excluded() -> None:
     odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[sensor])
     estimates = [odometry.step(frame) for frame in drive(rng, STEPS + 1, points=80)]
     assert estimates[-1].sensors[0].state == "excluded"
+
+
+class Altitude(VectorMeasurement):
+    """The height above the origin of positions, which a barometer knows."""
+
+    def __init__(self, pose: Variable) -> None:
+        super().__init__(np.eye(1))
+        self.pose = pose
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (self.pose, NORTH, ORIGIN)
+
+    def residual(self, values: Any) -> FloatArray:
+        return np.zeros(1)
+
+    def jacobians(self, values: Any) -> tuple[FloatArray, ...]:
+        return (np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def test_what_is_relative_to_positions_needs_one_first() -> None:
+    def barometer(prev_frame: Frame, frame: Frame) -> list[Measurement]:
+        return [Altitude(pose_of(frame.index))]
+
+    odometry = pv.StereoOdometry(CAMERA, config=config(40.0), sensors=[barometer])
+    first, second = drive(np.random.default_rng(4), 2)
+    odometry.step(first)
+    with pytest.raises(InputError, match="Measure a Position first"):
+        odometry.step(second)
 
 
 def test_positions_without_a_heading_are_refused() -> None:

@@ -190,6 +190,22 @@ def test_a_heading_without_a_fix_is_no_measurement(heading_rad: float) -> None:
     assert found.reason == "not a finite value"
 
 
+@pytest.mark.parametrize("prev", [None, pose_of(7), POSE])
+def test_a_correction_between_other_frames_is_refused(prev: Variable | None) -> None:
+    """Without ``prev``, it would be taken for the pose in the world."""
+
+    class Elsewhere(MotionCorrection):
+        name = "elsewhere"
+
+        def correct(
+            self, prev_frame: Frame, frame: Frame, T_curr_prev: FloatArray, *, cov: FloatArray
+        ) -> RelativePose:
+            return RelativePose(T_curr_prev, cov, curr=POSE, prev=prev)
+
+    with pytest.raises(InputError, match="sensor elsewhere: its motion is not from"):
+        read_correction(Elsewhere(), (PREV, CURR), np.eye(4), name="elsewhere", cov=np.eye(6))
+
+
 def test_a_correction_without_a_value_is_no_measurement() -> None:
     class Broken(MotionCorrection):
         name = "broken"

@@ -88,6 +88,18 @@ def test_four_seasons_takes_the_stereo_matrix_in_either_direction(tmp_path: Path
     assert open_sequence(path).camera == CAMERA
 
 
+def test_four_seasons_finds_a_transform_behind_a_byte_order_mark(tmp_path: Path) -> None:
+    path = write_four_seasons(tmp_path)
+    expected = open_sequence(path).imu
+    assert expected is not None
+    file = path / "Transformations.txt"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(lines[3:]), encoding="utf-8-sig")
+    found = open_sequence(path).imu
+    assert found is not None
+    np.testing.assert_array_equal(found.T_cam_imu, expected.T_cam_imu)
+
+
 def test_four_seasons_drops_images_without_a_partner_and_says_so(tmp_path: Path) -> None:
     path = write_four_seasons(tmp_path)
     (path / "undistorted_images" / "cam1" / f"{START_NS + FRAME_NS}.png").unlink()

@@ -16,6 +16,18 @@ def stream(stamps_ns: np.ndarray) -> ImuStream:
     return ImuStream.checked(stamps_ns, values, values, frames_ns=FRAMES_NS, where="imu.csv")
 
 
+def test_each_sample_is_recorded_once() -> None:
+    """Neither the repetitions at both ends, nor the starts of intervals that hold a mean."""
+    stamps_ns = PERIOD_NS * np.arange(20)
+    momentary = stream(stamps_ns)
+    np.testing.assert_array_equal(momentary.stamps_ns[momentary.recorded], stamps_ns)
+    values = np.repeat(np.arange(20.0)[:, None], 3, axis=1)
+    held_ns, held = hold_over_interval(stamps_ns, values)
+    means = ImuStream.checked(held_ns, held, held, frames_ns=FRAMES_NS, where="oxts")
+    np.testing.assert_array_equal(means.stamps_ns[means.recorded], stamps_ns[1:])
+    np.testing.assert_array_equal(means.gyro_rad_s[means.recorded], values[1:])
+
+
 @pytest.mark.parametrize("offset_ns", [0, 1, PERIOD_NS // 2, PERIOD_NS - 1])
 def test_slice_is_the_tightest_that_covers_the_interval(offset_ns: int) -> None:
     start = 20 * PERIOD_NS + offset_ns

@@ -120,15 +120,19 @@ def test_matches_from_python_whose_sides_are_swapped_are_refused() -> None:
         estimate_motion(tracks.prev_px[:, SWAPPED], tracks.curr_px[:, SWAPPED], noise, CAMERA)
 
 
-def test_features_from_python_whose_sides_are_swapped_are_refused() -> None:
+@pytest.mark.parametrize("every", [1, 5])
+def test_features_from_python_whose_sides_are_swapped_are_refused(every: int) -> None:
+    """However frames are numbered, as where only each fifth image is used."""
+
     def swapped(frame: Frame) -> Frame:
         assert frame.features is not None
         pixels = frame.features.pixels[:, SWAPPED]
-        return replace(frame, features=replace(frame.features, pixels=pixels))
+        features = replace(frame.features, pixels=pixels)
+        return replace(frame, index=every * frame.index, features=features)
 
     odometry = StereoOdometry(CAMERA)
     *first, last = [swapped(frame) for frame in drive(np.random.default_rng(0), 5)]
     for frame in first:
         odometry.step(frame)
-    with pytest.raises(SwappedImagesError, match="features of frame 4"):
+    with pytest.raises(SwappedImagesError, match=f"features of frame {4 * every}"):
         odometry.step(last)

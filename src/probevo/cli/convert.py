@@ -61,7 +61,7 @@ def main(words: list[str]) -> None:
             pass
     _check_new(arguments.out)
     is_run = (arguments.source / MOTIONS).is_file()
-    _check_flags(arguments, ros, is_run=is_run)
+    _check_flags(arguments, ros, settings, is_run=is_run)
     if is_run:
         with as_only_writer(arguments.out, _check_new):
             _convert_run(arguments, ros)
@@ -89,7 +89,9 @@ def main(words: list[str]) -> None:
         print("Masks have no place in a bag: give them with --mask-left and --mask-right.")
 
 
-def _check_flags(arguments: ConvertArguments, ros: RosSettings, *, is_run: bool) -> None:
+def _check_flags(
+    arguments: ConvertArguments, ros: RosSettings, settings: ReadSettings, *, is_run: bool
+) -> None:
     """Refuse flags that would have no effect.
 
     Raises:
@@ -100,6 +102,8 @@ def _check_flags(arguments: ConvertArguments, ros: RosSettings, *, is_run: bool)
             "--compressed": arguments.compressed,
             "--max-frames": arguments.max_frames is not None,
         }
+        for name, default in ReadSettings():
+            is_given[f"--{name.replace('_', '-')}"] = getattr(settings, name) != default
         whose = "a recording"
     else:
         is_given = {"--ros": ros != RosSettings()}

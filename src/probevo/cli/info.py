@@ -103,7 +103,7 @@ def describe(sequence: Sequence) -> Rows:
         mask_text,
         truth_text,
     )
-    from probevo.sequences.formats.tracks_file import TracksRecording
+    from probevo.sequences.base import imu_stream_of
     from probevo.sequences.masked import MaskedRecording
     from probevo.sequences.recording import ImageRecording
 
@@ -122,8 +122,9 @@ def describe(sequence: Sequence) -> Rows:
     ]
     if isinstance(sequence, ImageRecording):
         rows += sequence.notes
-    if isinstance(sequence, ImageRecording | TracksRecording) and sequence.imu_stream is not None:
-        rows += _imu(sequence, sequence.imu_stream)
+    stream = imu_stream_of(sequence)
+    if stream is not None:
+        rows += _imu(sequence, stream)
     rows.append(("truth", truth_text(sequence.truth)))
     if isinstance(sequence, MaskedRecording):
         rows.append(("masks", mask_text(sequence)))
@@ -206,10 +207,12 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     """Describe the rate and the noise of the IMU, and how its samples lie between the frames."""
     import numpy as np
 
-    # A mean over an interval is stored as two samples, 1 ns after its start and at its end; only
-    # the end was recorded.
+    from probevo.sequences.imu import HELD_NS
+
+    # The stamps of all packets. A packet that holds a mean has two samples, 1 ns after the packet
+    # before and at its own stamp.
     stamps_ns = stream.stamps_ns[1:-1]
-    stamps_ns = stamps_ns[np.r_[np.diff(stamps_ns) > 1_000, True]]
+    stamps_ns = stamps_ns[np.r_[np.diff(stamps_ns) > HELD_NS, True]]
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
 
     # The nearest sample is the one before the frame or the one after it.
@@ -237,17 +240,15 @@ def _reason_against_window(sequence: Sequence) -> ImuReason | None:
     """Return why the window can use the IMU in hardly any step; None if it can, or without an
     IMU."""
     from probevo.measurements.preintegration import NoPreintegration, preintegrate
-    from probevo.sequences.formats.tracks_file import TracksRecording
-    from probevo.sequences.recording import ImageRecording
+    from probevo.sequences.base import imu_stream_of
 
-    if not isinstance(sequence, ImageRecording | TracksRecording):
-        return None
-    if sequence.imu is None or sequence.imu_stream is None:
+    stream = imu_stream_of(sequence)
+    if sequence.imu is None or stream is None:
         return None
     reasons = []
     covered = 0
     for start_ns, end_ns in islice(pairwise(sequence.stamps_ns.tolist()), STEPS_FOR_IMU):
-        samples = sequence.imu_stream.between(start_ns, end_ns)
+        samples = stream.between(start_ns, end_ns)
         if samples is None:
             continue  # counted among the steps that the IMU does not cover
         covered += 1
@@ -268,16 +269,14 @@ def _noise_text(sequence: Sequence) -> str:
 def _imu_warnings(sequence: Sequence) -> Rows:
     """Look for implausible samples, and compare the gyro with the images."""
     from probevo.runs.imu_check import ImageRotations, imu_warning, sample_warnings
-    from probevo.sequences.formats.tracks_file import TracksRecording
-    from probevo.sequences.recording import ImageRecording
+    from probevo.sequences.base import imu_stream_of
 
-    if not isinstance(sequence, ImageRecording | TracksRecording):
+    stream = imu_stream_of(sequence)
+    if sequence.imu is None or stream is None:
         return []
-    if sequence.imu is None or sequence.imu_stream is None:
-        return []
-    warnings = sample_warnings(sequence.imu_stream, sequence.stamps_ns)
+    warnings = sample_warnings(stream, sequence.stamps_ns)
     rows = [("! IMU samples", text) for text in warnings]
-    warning = imu_warning(ImageRotations.of(sequence), sequence.imu_stream, sequence.imu)
+    warning = imu_warning(ImageRotations.of(sequence), stream, sequence.imu)
     return [*rows, ("! gyro", warning)] if warning else rows
 
 

@@ -23,6 +23,7 @@ from probevo.estimation.reprojection import (
 from probevo.geometry import se3
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
+from probevo.noise.base import predicted_noise
 from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
 from probevo.tracking.left_right import check_features
 from probevo.tracking.tracks import Tracks
@@ -30,6 +31,7 @@ from probevo.tracking.tracks import Tracks
 MIN_MATCHES = 3
 """Minimum number of points that determine a motion."""
 MIN_VARIANCE_PX2 = 1e-12
+"""Smallest variance of an observation: below, its inverse is rounding."""
 MAX_SOLVES = 4
 """Solves, after each of which all matches are tested again."""
 THRESHOLD_SIGMAS = 4.0
@@ -175,7 +177,7 @@ def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
             what = f"depends on the predictors {', '.join(model.columns)}."
             cure = "Give what it predicts for these matches: model.predict(phi), a StereoNoise."
             raise InputError("noise", what, cure)
-        return model.predict(np.zeros((count, 0)))
+        return predicted_noise(model, np.zeros((count, 0)))
     return _gaussian(noise, count)
 
 

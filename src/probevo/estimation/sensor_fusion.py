@@ -17,7 +17,7 @@ that no influence of its measurements of the pose remains. An excluded sensor do
 
 Where nothing else says where the world is, the first fix decides it, and the first headings which
 way is north. If that one is an outlier, all that follow contradict it. A sensor that fails a test
-among its first measurements therefore starts anew, a few times, before it is excluded.
+among its first measurements therefore is reset, a few times, before it is excluded.
 
 Measurements of the motion enter the solve of the step with a bounded loss. Only their innovations
 are tested, and the steps that they have entered stay as they are.
@@ -28,7 +28,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +71,7 @@ CUSUM_ALARM = 39.0
 """Sum at which a sensor is excluded; a consistent one reaches it once in a million measurements."""
 
 STARTING_MEASUREMENTS = 20
-"""First measurements of a sensor that it may contradict and start anew. The cumulative sum reaches
+"""First measurements of a sensor, after which a failed test resets it. The cumulative sum reaches
 its alarm after five that are beyond the gate, and after a dozen that are nearly so."""
 MAX_RESTARTS = 2
 """Restarts of a sensor. Where one measurement in ten is an outlier, one start in a thousand is bad
@@ -82,7 +81,7 @@ UNKNOWN_HEADING_RAD = 100.0
 """Standard deviation of an unknown heading: many turns."""
 
 
-class Innovation(NamedTuple):
+class SensorInnovation(NamedTuple):
     """Of a measurement: how far it is from what was expected, and how much it counts."""
 
     squared: float | None
@@ -95,7 +94,7 @@ class _Tested(NamedTuple):
     """A filter after an update, with the innovation of each measurement."""
 
     pose: PoseFilter
-    innovations: tuple[Innovation, ...]
+    innovations: tuple[SensorInnovation, ...]
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class SensorMemory:
     num_steps: int = 0
     """Steps in which it has measured something, since its start."""
     num_restarts: int = 0
-    """How often it has started anew."""
+    """How often it has been reset."""
 
     def advanced(self, advance: Callable[[PoseFilter], PoseFilter]) -> SensorMemory:
         """Return the memory after a motion, given how a filter advances by it."""
@@ -130,7 +129,7 @@ class SensorMemory:
     def updated(
         self,
         reading: Reading,
-        innovations: Sequence[Innovation],
+        innovations: Sequence[SensorInnovation],
         others: Sequence[Measurement],
         *,
         pose: Variable,
@@ -143,7 +142,7 @@ class SensorMemory:
             innovations: those of its measurements, first of the pose, then of the motion.
             others: measurements of the pose by the other sensors.
             pose: the pose of the frame.
-            north: prior of the attitude of the world against north.
+            north: prior of the attitude of the world relative to north.
         """
         if self.excluded is not None:
             return self
@@ -159,8 +158,8 @@ class SensorMemory:
             num_steps=self.num_steps + bool(innovations),
         )
 
-    def afresh_from(self, odometry: PoseFilter) -> SensorMemory:
-        """Return the memory with tests that start afresh from the odometry."""
+    def reset_to(self, odometry: PoseFilter) -> SensorMemory:
+        """Return the memory with its tests reset, and its filters set to the odometry."""
         if self.excluded is not None:
             return self
         return replace(self, without_sensor=odometry, with_offset=odometry, sum_above=0.0)
@@ -214,14 +213,14 @@ class SensorFusion:
         pose: Variable,
         north: NorthConfig,
         *,
-        of_motion: Mapping[str, Sequence[Innovation]],
+        of_motion: Mapping[str, Sequence[SensorInnovation]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
         """Update the pose with the measurements at a frame, and test each sensor.
 
         Args:
             readings: of each sensor, in order.
             pose: the pose of the frame.
-            north: prior of the attitude of the world against north.
+            north: prior of the attitude of the world relative to north.
             of_motion: by sensor, the innovations of its measurements of the motion, which the solve
                 has used.
 
@@ -236,24 +235,17 @@ class SensorFusion:
         of_pose = [reading.of_pose(pose) for reading in readings]
         # The pose from all sensors, which gives the innovation of each measurement of the pose.
         fused = _tested(self.pose, _joined(of_pose), pose, north)
-        following = iter(fused.innovations)
-        innovations = [
-            (*islice(following, len(own)), *of_motion.get(reading.name, ()))
-            for own, reading in zip(of_pose, readings, strict=True)
-        ]
         # Then each sensor by itself: its outcome, and its tests.
-        sensors = list(zip(self.memories, readings, innovations, strict=True))
-        outcomes = [_outcome(*sensor) for sensor in sensors]
-        memories = [
-            memory.updated(
-                reading,
-                own_innovations,
-                _joined([*of_pose[:index], *of_pose[index + 1 :]]),
-                pose=pose,
-                north=north,
-            )
-            for index, (memory, reading, own_innovations) in enumerate(sensors)
-        ]
+        outcomes = []
+        memories = []
+        start = 0
+        for index, (memory, reading) in enumerate(zip(self.memories, readings, strict=True)):
+            stop = start + len(of_pose[index])
+            innovations = (*fused.innovations[start:stop], *of_motion.get(reading.name, ()))
+            start = stop
+            outcomes.append(_outcome(memory, reading, innovations))
+            others = _joined([*of_pose[:index], *of_pose[index + 1 :]])
+            memories.append(memory.updated(reading, innovations, others, pose=pose, north=north))
         after = SensorFusion(fused.pose, self.odometry, tuple(memories))
         suspects = [
             suspect
@@ -263,7 +255,7 @@ class SensorFusion:
         if not suspects:
             return after, tuple(outcomes)
         # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
-        # look faulty, too. Their tests start afresh without it.
+        # look faulty, too. Their tests are reset.
         worst = max(suspects, key=lambda suspect: suspect.ratio)
         after, outcomes[worst.sensor] = after._excluding(worst, of_pose[worst.sensor], north)
         return after, tuple(outcomes)
@@ -273,29 +265,29 @@ class SensorFusion:
     ) -> tuple[SensorFusion, SensorOutcome]:
         """Return the state without a sensor that has failed a test, and the outcome of the sensor.
 
-        If the fault may be that of its first measurements, it starts anew and is not excluded.
+        If the fault may be that of its first measurements, it is reset, and not excluded.
 
         Args:
             suspect: the sensor.
             measurements: its measurements of the pose at this frame.
-            north: prior of the attitude of the world against north.
+            north: prior of the attitude of the world relative to north.
         """
         memory = self.memories[suspect.sensor]
-        forgotten = self.forgetting(suspect.sensor)
+        forgotten = self.without_measurements_of(suspect.sensor)
         if memory.may_restart(measurements, north):
-            reason = f"it starts anew, since it has shown {suspect.shows}"
+            reason = f"it is reset, since it has shown {suspect.evidence}"
             return forgotten, SensorOutcome(memory.name, "gated", reason)
         memories = list(forgotten.memories)
-        memories[suspect.sensor] = replace(memories[suspect.sensor], excluded=suspect.shows)
-        outcome = SensorOutcome(memory.name, "excluded", suspect.shows)
+        memories[suspect.sensor] = replace(memories[suspect.sensor], excluded=suspect.evidence)
+        outcome = SensorOutcome(memory.name, "excluded", suspect.evidence)
         return replace(forgotten, memories=tuple(memories)), outcome
 
-    def forgetting(self, index: int) -> SensorFusion:
+    def without_measurements_of(self, index: int) -> SensorFusion:
         """Return the state as if a sensor had not measured the pose so far.
 
-        The tests of all sensors start afresh.
+        The tests of all sensors are reset.
         """
-        memories = [memory.afresh_from(self.odometry) for memory in self.memories]
+        memories = [memory.reset_to(self.odometry) for memory in self.memories]
         own = memories[index]
         memories[index] = replace(own, num_steps=0, num_restarts=own.num_restarts + 1)
         return SensorFusion(
@@ -312,12 +304,12 @@ class _Suspect(NamedTuple):
     """Its index among the sensors."""
     ratio: float
     """Its statistic over the threshold."""
-    shows: str
+    evidence: str
     """What the test shows, in words."""
 
 
 def _outcome(
-    memory: SensorMemory, reading: Reading, innovations: Sequence[Innovation]
+    memory: SensorMemory, reading: Reading, innovations: Sequence[SensorInnovation]
 ) -> SensorOutcome:
     """Return the outcome of a sensor in this step, before exclusions of this step."""
     if memory.excluded is not None:
@@ -352,7 +344,7 @@ def _tested(
         return _Tested(pose_filter, ())
     pose_filter = _with_world_states(pose_filter, measurements, pose, north)
     kept: list[Measurement] = []
-    innovations: list[Innovation] = []
+    innovations: list[SensorInnovation] = []
     for measurement in measurements:
         # All innovations are against the pose before any of these measurements. What fails the gate
         # is left out; a weight below one enlarges the covariance.
@@ -367,7 +359,7 @@ def _tested(
                 measurement = measurement.scaled(1.0 / weight)
         if weight > 0.0:
             kept.append(measurement)
-        innovations.append(Innovation(squared, weight))
+        innovations.append(SensorInnovation(squared, weight))
     return _Tested(pose_filter.updated(kept, pose), tuple(innovations))
 
 
@@ -395,7 +387,13 @@ def _with_world_states(
                 "Give it with its heading_sigma_deg, such as the course of the first fixes.",
             )
         values = pose_filter.values(pose)
-        first = next(one for one in measurements if isinstance(one, Position))
+        first = next((one for one in measurements if isinstance(one, Position)), None)
+        if first is None:
+            raise InputError(
+                "sensors",
+                "the origin of positions is measured before any position.",
+                "Measure a Position first, or leave out ORIGIN until then.",
+            )
         pose_filter = pose_filter.with_state(
             ORIGIN, first.origin_m(values), VAGUENESS**2 * first.covariance
         )
@@ -403,7 +401,7 @@ def _with_world_states(
 
 
 def _prior_of(north: NorthConfig) -> tuple[FloatArray, FloatArray]:
-    """Return mean, [3], and covariance, [3, 3], of the attitude against north, rad."""
+    """Return mean, [3], and covariance, [3, 3], of the attitude relative to north, rad."""
     tilt = math.radians(north.tilt_sigma_deg)
     heading = math.radians(north.heading_sigma_deg)
     if north.heading_deg is None:
@@ -439,7 +437,7 @@ def _tested_with_offset(
         measurements: those of the sensor whose offset is estimated.
         others: those of the other sensors.
         pose: the pose of the frame.
-        north: prior of the attitude of the world against north.
+        north: prior of the attitude of the world relative to north.
     """
     pose_filter = _with_world_states(pose_filter, [*measurements, *others], pose, north)
     offset: list[WithOffset] = []
@@ -519,13 +517,13 @@ def _suspects(
             size = float(np.linalg.norm(offset))
             found.append(_Suspect(sensor, ratio, f"a constant offset of {size:.2g} (rad or m)"))
     if memory.sum_above > CUSUM_ALARM:
-        shows = "innovations larger than its covariance explains"
-        found.append(_Suspect(sensor, memory.sum_above / CUSUM_ALARM, shows))
+        evidence = "innovations larger than its covariance explains"
+        found.append(_Suspect(sensor, memory.sum_above / CUSUM_ALARM, evidence))
     return found
 
 
 def _sum_above(
-    before: float, measurements: Sequence[Measurement], innovations: Sequence[Innovation]
+    before: float, measurements: Sequence[Measurement], innovations: Sequence[SensorInnovation]
 ) -> float:
     """Update the cumulative sum of squared innovations above the allowance (CUSUM)."""
     # Innovations of any dimension are compared by their tail probability, on the scale of χ²(2).
@@ -546,7 +544,7 @@ def solve_innovations(
     solution: ReprojectionSolution | None,
     common_mode: FloatArray,
     reckoned: MotionEstimate | None = None,
-) -> dict[str, list[Innovation]]:
+) -> dict[str, list[SensorInnovation]]:
     """Return, by sensor, the innovations of its measurements of the motion.
 
     A correction replaces the motion of the solve, so it cannot be tested against it.
@@ -559,10 +557,10 @@ def solve_innovations(
         reckoned: the dead-reckoned motion that they are tested against without a solve; None if
             there is none either, and nothing is tested.
     """
-    found: dict[str, list[Innovation]] = {}
+    found: dict[str, list[SensorInnovation]] = {}
     for reading in readings:
         of_motion = reading.of_motion(curr)
-        found[reading.name] = [Innovation(None, 1.0)] * len(of_motion)
+        found[reading.name] = [SensorInnovation(None, 1.0)] * len(of_motion)
         if reading.corrects:
             continue
         if solution is not None:
@@ -576,15 +574,15 @@ def solve_innovations(
 
 def _reckoned_innovation(
     measurement: Measurement, curr: Variable, reckoned: MotionEstimate
-) -> Innovation:
+) -> SensorInnovation:
     """Return the innovation of a measurement of the motion against a dead-reckoned one."""
     if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
-        return Innovation(None, 1.0)
+        return SensorInnovation(None, 1.0)
     values = {variable: np.eye(4) for variable in measurement.variables}
     values[curr] = reckoned.T_curr_prev
     squared = measurement.innovation_squared(values, reckoned.cov, of=curr)
     threshold = large_residual_threshold(len(measurement.covariance))
-    return Innovation(squared, bounded_weight(squared, threshold))
+    return SensorInnovation(squared, bounded_weight(squared, threshold))
 
 
 def motion_innovations(
@@ -594,7 +592,7 @@ def motion_innovations(
     *,
     cov: FloatArray,
     common_mode: FloatArray,
-) -> list[Innovation]:
+) -> list[SensorInnovation]:
     """Return the innovations of a solve's own measurements of the motion.
 
     The residuals after a solve that used a measurement are too small for a test. The innovation is
@@ -615,10 +613,10 @@ def motion_innovations(
     values = {variable: np.eye(4) for one in measurements for variable in one.variables}
     values[curr] = T_curr_prev
     information = np.linalg.inv(cov)
-    found: list[Innovation] = []
+    found: list[SensorInnovation] = []
     for measurement in measurements:
         weight = float(measurement.outcome(values).weight.min())
-        found.append(Innovation(None, weight))
+        found.append(SensorInnovation(None, weight))
         if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
             continue
         # r = R_w (R_w + J P Jᵀ)⁻¹ ν for the innovation ν, with R_w the covariance over the weight.
@@ -634,5 +632,5 @@ def motion_innovations(
         of_rig = jacobian @ common_mode
         innovation_cov = R + spread + of_rig @ of_rig.T
         squared = float(innovation @ np.linalg.solve(innovation_cov, innovation))
-        found[-1] = Innovation(squared, weight)
+        found[-1] = SensorInnovation(squared, weight)
     return found

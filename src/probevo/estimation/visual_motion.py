@@ -12,7 +12,6 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
@@ -36,7 +35,7 @@ from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale
+from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale, predicted_noise
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -101,6 +100,11 @@ class VisualMotion:
         if self.status is not Status.OK or self.solution is None:
             raise ValueError(f"a step with status {self.status.name} has no accepted solution")
         return self.solution
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether there is a solve that did not converge, or that contradicts the prediction."""
+        return self.status is Status.NOT_CONVERGED
 
     @property
     def num_inliers(self) -> int:
@@ -308,7 +312,7 @@ class VisualEstimator:
             ),
             is_weak=status is Status.DEGENERATE
             and solution.converged
-            and _has_inliers(solve.estimate.weights, len(tracks), self._config)
+            and _has_enough_inliers(solve.estimate.weights, len(tracks), self._config)
             and priors.prediction.agrees(solution.T_curr_prev, solution.hessian),
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
@@ -511,13 +515,7 @@ class VisualEstimator:
         Raises:
             InputError: a model of the user's own does not return a ``StereoNoise``.
         """
-        noise = model.predict(phi)
-        if not isinstance(noise, StereoNoise):
-            raise InputError(
-                "noise model",
-                f"its predict returns a {type(noise).__name__}, where a StereoNoise is expected.",
-                "See CONTRIBUTING.md, “Add a noise model”.",
-            )
+        noise = predicted_noise(model, phi)
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
         if noise_factor != 1.0:
@@ -606,7 +604,7 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    if not _has_inliers(weights, num_tracks, config):
+    if not _has_enough_inliers(weights, num_tracks, config):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.
@@ -615,8 +613,9 @@ def evaluate_status(
     return Status.OK
 
 
-def _has_inliers(weights: FloatArray, num_tracks: int, config: OdometryConfig) -> bool:
-    # A minority of the tracks has to have more inliers (``MINORITY_FACTOR``).
+def _has_enough_inliers(weights: FloatArray, num_tracks: int, config: OdometryConfig) -> bool:
+    """Return whether enough of the tracks are inliers; a minority of all tracks needs more
+    (``MINORITY_FACTOR``)."""
     is_minority = len(weights) < 0.5 * num_tracks
     fewest = config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1)
     return num_inliers(weights) >= fewest

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.evaluation.clustered_regression import two_sided_p
-from probevo.measurements.preintegration import HELD_NS, LONGEST_HOLE
-from probevo.sequences.imu import ImuStream
+from probevo.measurements.preintegration import LONGEST_HOLE
+from probevo.sequences.imu import HELD_NS, ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import MAX_FORCE_M_S2
 
@@ -38,7 +38,7 @@ in the pass before."""
 MIN_SAMPLES = 20
 """Minimum number of samples in a pair of intervals: at the rate of the frames, they would alias the
 acceleration."""
-FEWEST = 8
+MIN_CHANGES = 8
 """Minimum number of velocity changes, beyond the number of unknowns."""
 MAX_SIGMA = 0.1
 """Largest σ of a ratio that is reported: without accelerations, the scale is unobservable."""
@@ -96,7 +96,7 @@ def accelerometer_scale(
         hardly accelerates.
     """
     triples = _triples(stamps_ns, is_ok)
-    if len(triples) < FEWEST:
+    if len(triples) < MIN_CHANGES:
         return None
     # Attitudes between the frames by a spline; specific force in the axes of the camera, with bias.
     time_s = 1e-9 * (stamps_ns - stamps_ns[0])
@@ -156,7 +156,8 @@ def _velocity_change(
     start_s = path.time_s[i]
     middle_s = path.time_s[j]
     end_s = path.time_s[k]
-    inside = slice(*np.searchsorted(samples.time_s, [start_s, end_s]))
+    first, end = np.searchsorted(samples.time_s, [start_s, end_s])
+    inside = slice(first, end)
     t_s = samples.time_s[inside]
     force = samples.force_m_s2[inside]
     if not (np.abs(force) < MAX_FORCE_M_S2).all():
@@ -227,7 +228,7 @@ def _regressed(
     count = len(seen)
     num_blocks = int(block.max()) + 1
     num_unknowns = 1 + 3 * num_blocks + 3
-    if 3 * count - num_unknowns < 3 * FEWEST:
+    if 3 * count - num_unknowns < 3 * MIN_CHANGES:
         return None
     design = np.zeros((count, 3, num_unknowns))
     design[:, :, 0] = measured
@@ -262,6 +263,6 @@ def _regressed(
     sandwich = float((bread @ meat @ bread)[0, 0]) * factor
     model = variance * float(bread[0, 0])
     sigma = float(np.sqrt(max(sandwich, model)))
-    if freedom < FEWEST or not 0.0 < sigma < MAX_SIGMA:
+    if freedom < MIN_CHANGES or not 0.0 < sigma < MAX_SIGMA:
         return None
     return AccelerometerScale(ratio, sigma, freedom)

@@ -269,9 +269,9 @@ def gyro_quantities(
     # Mounting: three angles.
     regression = found.regression
     quantities = []
-    for axis, k in zip("xyz", range(*MOUNTING.indices(8)), strict=True):
-        value = float(np.rad2deg(regression.values[k]))
-        sigma = float(np.rad2deg(regression.sigma[k]))
+    for k, axis in enumerate("xyz"):
+        value = float(np.rad2deg(regression.values[MOUNTING][k]))
+        sigma = float(np.rad2deg(regression.sigma[MOUNTING][k]))
         cure = (
             f"the IMU is turned by {value:+.2f}° about the camera's {axis} axis, relative to"
             " T_cam_imu. Write the rotation below instead; where it is large, its inverse is the"

@@ -17,7 +17,6 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.evaluation.clustered_regression import Regression, regress
 from probevo.geometry import so3
 from probevo.measurements.gyro import integrate_gyro
-from probevo.measurements.preintegration import HELD_NS
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 
@@ -227,8 +226,7 @@ def _white_noise_rad2_s(stream: ImuStream) -> float:
     It follows from second differences of the samples: of white noise, they have six times its
     variance. Where samples are so rare that the motion itself bends between them, it is too large.
     """
-    apart = np.concatenate([[True], np.diff(stream.stamps_ns) > HELD_NS])
-    is_known = apart & np.isfinite(stream.gyro_rad_s).all(axis=1)
+    is_known = stream.recorded & np.isfinite(stream.gyro_rad_s).all(axis=1)
     rates = stream.gyro_rad_s[is_known]
     if len(rates) < MIN_STEPS:
         return 0.0

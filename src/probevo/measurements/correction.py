@@ -13,6 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.measurements.base import pose_of
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement, Reading
 from probevo.sequences.frame import Frame
@@ -56,10 +57,11 @@ def read_correction(
         cov: covariance of the motion, [6, 6].
 
     Raises:
-        InputError: the answer is neither a ``RelativePose`` nor a reason. Exceptions of the
-            correction itself are passed on.
+        InputError: the answer is neither a ``RelativePose`` nor a reason, or it is a motion between
+            other frames. Exceptions of the correction itself are passed on.
     """
-    answer = correction.correct(*frames, T_curr_prev, cov=cov)
+    prev_frame, frame = frames
+    answer = correction.correct(prev_frame, frame, T_curr_prev, cov=cov)
     if isinstance(answer, NoMeasurement):
         return Reading(name, reason=answer.reason)
     if not isinstance(answer, RelativePose):
@@ -67,4 +69,8 @@ def read_correction(
         raise InputError(f"sensor {name}", what, "It returns RelativePose, or NoMeasurement.")
     if not np.isfinite(answer.T_curr_prev).all():
         return Reading(name, reason="not a finite value")
+    if answer.variables != (pose_of(prev_frame.index), pose_of(frame.index)):
+        what = "its motion is not from the pose of the previous frame to that of the current one."
+        cure = "Give curr=pose_of(frame.index) and prev=pose_of(prev_frame.index)."
+        raise InputError(f"sensor {name}", what, cure)
     return Reading(name, (answer,), corrects=True)

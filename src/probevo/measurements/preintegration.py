@@ -20,6 +20,7 @@ from probevo.measurements.preintegration_numba import (
     preintegrate_samples,
 )
 from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu import HELD_NS
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import MAX_FORCE_M_S2, MAX_RATE_RAD_S, are_within
 
@@ -34,8 +35,6 @@ at 10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway
 mean averages the jitter of stamps, so that an IMU of either rate is used always or never. An
 interval of 1/18 s or more has ``MIN_SAMPLES`` then, so that this counts for faster cameras
 only."""
-HELD_NS = 1_000
-"""Stamps that are not farther apart are of one sample, which is held over an interval."""
 LONGEST_HOLE = 3.0
 """Longest time without a sample, in usual distances of samples."""
 NO_BIAS = np.zeros(6)

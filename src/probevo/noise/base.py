@@ -15,6 +15,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_t_numba import mahalanobis_and_log_det
 
@@ -154,6 +155,26 @@ class NoiseModel(Protocol):
         Raises:
             InputError: the model was learned with another camera.
         """
+
+
+def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
+    """Return the noise of N features by a model, which may be the user's own.
+
+    Args:
+        model: the model.
+        phi: the places of the features in its prediction space, [N, M].
+
+    Raises:
+        InputError: its ``predict`` does not return a ``StereoNoise``.
+    """
+    noise = model.predict(phi)
+    if not isinstance(noise, StereoNoise):
+        raise InputError(
+            "noise model",
+            f"its predict returns a {type(noise).__name__}, where a StereoNoise is expected.",
+            "See CONTRIBUTING.md, “Add a noise model”.",
+        )
+    return noise
 
 
 def has_assumed_scale(model: NoiseModel) -> bool:

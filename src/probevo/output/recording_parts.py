@@ -10,6 +10,7 @@ import numpy as np
 from probevo.arrays import BoolArray, Image
 from probevo.errors import InputError
 from probevo.sequences import Frame, Sequence
+from probevo.sequences.base import imu_stream_of
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.recording import ImageRecording
 
@@ -54,10 +55,10 @@ def imu_samples(sequence: Sequence) -> ImuSamples | None:
     """
     if sequence.imu is None:
         return None
-    if isinstance(sequence, ImageRecording):
-        stream = sequence.imu_stream
-        if stream is None:
-            return None
+    stream = imu_stream_of(sequence)
+    if isinstance(sequence, ImageRecording) and stream is None:
+        return None
+    if stream is not None:
         # The first and the last are repetitions, beyond the ends of the recording.
         return ImuSamples(
             stamps_ns=stream.stamps_ns[1:-1],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from probevo.evaluation.row_check import RowSamples
 from probevo.geometry import se3, so3
 from probevo.odometry import StereoOdometry
 from probevo.sequences import Sequence
+from probevo.sequences.base import imu_stream_of
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking.left_right import LeftRightCheck
@@ -74,7 +75,7 @@ def check_calibration(sequence: Sequence, max_frames: int) -> CalibrationCheck:
         if scale is not None:
             quantities.append(scale)
     C_cam_imu = None
-    stream: ImuStream | None = getattr(sequence, "imu_stream", None)
+    stream = imu_stream_of(sequence)
     has_imu = sequence.imu is not None and stream is not None
     if sequence.imu is not None and stream is not None:
         stamps_ns = sequence.stamps_ns[:num_frames]
@@ -123,7 +124,11 @@ def _imu_quantities(
     if gravity is not None:
         quantities.append(gravity)
     scale = accelerometer_scale(
-        stamps_ns, seen.T_world_cam, seen.is_ok, stream=stream, calibration=calibration
+        stamps_ns,
+        seen.T_world_cam,
+        seen.is_ok,
+        stream=stream,
+        calibration=replace(calibration, T_cam_imu=T_cam_imu),
     )
     if scale is not None:
         quantities.append(accelerometer_scale_quantity(scale))

@@ -100,24 +100,20 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
     Returns:
         The warnings; none if all samples are plausible.
     """
-    # A mean over an interval is stored as two samples, 1 ns after its start and at its end; and
-    # the first and the last sample are repeated. Each is looked at once.
-    recorded = np.r_[np.diff(stream.stamps_ns[1:-1]) > 1_000, True]
-    rates_rad_s = stream.gyro_rad_s[1:-1][recorded]
-    forces_m_s2 = stream.accel_m_s2[1:-1][recorded]
+    rates_rad_s = stream.gyro_rad_s[stream.recorded]
+    forces_m_s2 = stream.accel_m_s2[stream.recorded]
     is_implausible = (np.abs(rates_rad_s) > MAX_RATE_RAD_S).any(axis=1)
     num_forces = int((np.abs(forces_m_s2) > MAX_FORCE_M_S2).any(axis=1).sum())
     of_all = f"of {len(rates_rad_s):,}"
-    warnings = {
-        f"{of_all} have an angular rate over {MAX_RATE_RAD_S:g} rad/s; they are left out": int(
-            is_implausible.sum()
+    found = [
+        (
+            int(is_implausible.sum()),
+            f"have an angular rate over {MAX_RATE_RAD_S:g} rad/s; they are left out",
         ),
-        f"{of_all} have a specific force over {MAX_FORCE_M_S2:g} m/s²; it is left out": (
-            num_forces
-        ),
-        f"{of_all} are spikes of the gyro, and left out": _count_spikes(stream, frames_ns),
-    }
-    return [f"{count:,} {text}" for text, count in warnings.items() if count]
+        (num_forces, f"have a specific force over {MAX_FORCE_M_S2:g} m/s²; it is left out"),
+        (_count_spikes(stream, frames_ns), "are spikes of the gyro, and left out"),
+    ]
+    return [f"{count:,} {of_all} {text}" for count, text in found if count]
 
 
 def _without_implausible_rates(stream: ImuStream) -> ImuStream:

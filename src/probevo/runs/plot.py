@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -89,7 +90,8 @@ def _entries(
         if len(result) < 2:
             raise InputError("runs", f"run {k + 1} has {len(result)} frames.", "Two are needed.")
         default = Path(run).resolve().name if isinstance(run, str | Path) else f"run {k + 1}"
-        entries.append(Entry("", names[k] if names else default, result))
+        name = names[k] if names else default
+        entries.append(Entry(sequence="", estimator=name, result=result))
     if truth is None:
         return entries
     cure = "Give poses T_world_cam, [N, 4, 4], or the truth of a sequence."
@@ -103,7 +105,4 @@ def _entries(
     short = [len(entry.result) for entry in entries if len(entry.result) > len(true)]
     if short:
         raise InputError("truth", f"has {len(true)} poses for {short[0]} frames.")
-    return [
-        Entry("", entry.estimator, entry.result, truth=true[: len(entry.result)])
-        for entry in entries
-    ]
+    return [replace(entry, truth=true[: len(entry.result)]) for entry in entries]

@@ -52,7 +52,7 @@ from probevo.run_config import RunConfig, as_run_config, config_text
 from probevo.runs.smoothed_path import SmoothedPath
 from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
-from probevo.sequences.base import first_frames
+from probevo.sequences.base import first_frames, imu_stream_of
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
@@ -309,7 +309,7 @@ def _accelerometer_scale(
         result: the run.
         motions_of_images: one for each frame, [N, 4, 4]; that of the first one is the identity.
     """
-    stream = getattr(sequence, "imu_stream", None)
+    stream = imu_stream_of(sequence)
     if stream is None or sequence.imu is None or len(result) < 2:
         return None
     return accelerometer_scale(

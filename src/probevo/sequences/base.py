@@ -11,6 +11,7 @@ from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 
 
@@ -50,6 +51,13 @@ class Sequence(Protocol):
         Raises:
             InputError: a file of that frame is faulty.
         """
+
+
+def imu_stream_of(sequence: Sequence) -> ImuStream | None:
+    """Return all IMU samples of a recording at their own rate; None if it has none, or yields
+    them with its frames only."""
+    stream: ImuStream | None = getattr(sequence, "imu_stream", None)
+    return stream
 
 
 def first_frames(sequence: Sequence, num_frames: int) -> Iterator[Frame]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.stamps import check_stamps
@@ -15,6 +15,9 @@ from probevo.sequences.stamps import check_stamps
 HOLD_PERIODS = 2
 """For how many mean sample periods the first and last sample are held beyond the recording; a gap
 of twice as many periods between samples is bridged, too."""
+
+HELD_NS = 1_000
+"""Stamps that are not farther apart are of one sample, which is held over an interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,21 @@ class ImuStream:
             accel_m_s2=accel_m_s2[rows],
             longest_gap_ns=2 * hold_ns,
         )
+
+    @property
+    def recorded(self) -> BoolArray:
+        """Which samples a sensor recorded, each once, [J].
+
+        The first and the last are repetitions, and so is the start of an interval over which a mean
+        is held.
+        """
+        recorded = np.ones(len(self.stamps_ns), np.bool_)
+        recorded[[0, -1]] = False
+        starts_interval = np.flatnonzero(np.diff(self.stamps_ns) <= HELD_NS) + 1
+        if len(starts_interval):
+            recorded[1] = False
+            recorded[starts_interval] = False
+        return recorded
 
     def between(self, start_ns: int, end_ns: int) -> ImuSamples | None:
         """Return the last sample at or before ``start_ns`` to the first at or after ``end_ns``.

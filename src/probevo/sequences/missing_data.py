@@ -25,9 +25,9 @@ class MissingData:
 
     defect: Defect
     count: int
-    """Those that have it."""
+    """Number that have the defect."""
     of: int
-    """All there were."""
+    """Number in all."""
 
     def __str__(self) -> str:
         """Return such as ``3 of 20 IMU samples without a finite angular rate``."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.sequences.frame import Frame
-from probevo.tracking.left_right import FRAMES_TO_SEE, check_features
+from probevo.tracking.left_right import FRAMES_TO_SEE, MIN_MATCHES, check_features
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
@@ -47,7 +47,9 @@ class FeatureMatcher:
         )
         # Readers of recordings make this check earlier, and name the file. Later frames may show
         # nothing but points far away, whose disparities are noise.
-        if frame.index == FRAMES_TO_SEE + 1:
+        has_enough = len(tracks) >= MIN_MATCHES
+        num_matched_steps = state.num_matched_steps + int(has_enough)
+        if has_enough and num_matched_steps == FRAMES_TO_SEE + 1:
             check_features(tracks, f"features of frame {frame.index}")
         # All features of this frame, matched or not: the next frame may have them again.
         alive = TrackingState(
@@ -56,5 +58,6 @@ class FeatureMatcher:
             age=age,
             is_given=True,
             fixed_ids=state.fixed_after(tracks),
+            num_matched_steps=num_matched_steps,
         )
         return Tracked(tracks, alive)

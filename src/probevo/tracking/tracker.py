@@ -32,6 +32,8 @@ class TrackingState:
     """Pyramid of the left image; empty without images, and without features."""
     next_id: int = 0
     """The identity that the next new feature gets."""
+    num_matched_steps: int = 0
+    """Steps of another front end with enough matches to tell left from right."""
     is_given: bool = False
     """Whether the features come from another front end, as in a tracks file."""
     fixed_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -74,7 +76,9 @@ class TrackingState:
 
     def without(self, ids: IntArray) -> TrackingState:
         """Drop features that turned out to be outliers, unless another front end tracks them."""
-        return self if self.is_given or not len(ids) else self.subset(~np.isin(self.ids, ids))
+        if self.is_given or not len(ids):
+            return self
+        return self.subset(~np.isin(self.ids, ids))
 
     def observations(self, frame: Frame) -> FrameObservations:
         """Return what the frame observed, for the store."""

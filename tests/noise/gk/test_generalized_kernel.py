@@ -300,6 +300,16 @@ def test_columns_without_weight_may_be_left_out() -> None:
         model.subset(np.array([1]))
 
 
+def test_a_model_of_a_file_can_be_made_smaller_as_well() -> None:
+    """It has neither samples nor the weights that were given."""
+    model = trained(weights=np.array([2.0, 0.0]))
+    loaded = GeneralizedKernel.from_file(model.to_file())
+    expected = model.predict(INSIDE).scale
+    np.testing.assert_array_equal(loaded.without_samples().predict(INSIDE).scale, expected)
+    kept = loaded.subset(np.array([0]))
+    np.testing.assert_array_equal(kept.predict(INSIDE[:, :1]).scale, expected)
+
+
 def test_given_hyperparameters_are_not_searched_for() -> None:
     model = trained()
     assert model.search_.keys() == {"dof"}  # which is estimated at each EM iteration

@@ -273,7 +273,7 @@ class GeneralizedKernel:
         It cannot ``predict_exact``.
         """
         model = copy(self)
-        del model.posterior_
+        model.__dict__.pop("posterior_", None)  # a model of a file has none
         return model
 
     def subset(self, columns: IntArray) -> GeneralizedKernel:
@@ -288,7 +288,8 @@ class GeneralizedKernel:
             raise ValueError("a column that contributes cannot be left out")
         model = copy(self)
         model.metric_ = metric.subset(columns)
-        model.weights_ = self.weights_[columns]
+        if hasattr(self, "weights_"):  # a model of a file has none
+            model.weights_ = self.weights_[columns]
         return model
 
     def check_camera(self, camera: StereoCamera) -> None:

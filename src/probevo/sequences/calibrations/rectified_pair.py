@@ -58,7 +58,7 @@ def rectified_camera(
     if rotation_rad > MAX_ROTATION_RAD or not is_level:
         what = (
             f"the right camera is turned by {np.rad2deg(rotation_rad):.3g}° and moved by"
-            f" ({', '.join(f'{value:.4g}' for value in offset_m)}) m against the left one."
+            f" ({', '.join(f'{value:.4g}' for value in offset_m)}) m relative to the left one."
         )
         cure = "This pair is not rectified; use the layout folder with --calibration."
         raise InputError(where, what, cure)

@@ -25,7 +25,14 @@ from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import pair_stamps
 from probevo.sequences.stamps import check_stamps, stamps_of_names
-from probevo.sequences.text import parse_floats, parse_stamp_ns, read_fields, read_lines, read_table
+from probevo.sequences.text import (
+    parse_floats,
+    parse_stamp_ns,
+    read_fields,
+    read_lines,
+    read_table,
+    read_text,
+)
 
 IMAGES = "undistorted_images"
 POSE_OF_IMU = "TS_cam_imu"
@@ -194,15 +201,13 @@ def _read_transformation(path: Path, name: str) -> FloatArray:
     Raises:
         InputError: there is no transformation of this name, or it is no pose.
     """
-    read_lines(path)  # refuses what is no text
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = read_text(path).splitlines()
     for number, line in enumerate(lines[:-1], start=1):
         if line.lstrip("# ").startswith(name):
             where = f"{path}:{number + 1}"
-            T_cam_imu: FloatArray = _poses([parse_floats(lines[number].split(","), where)], where)[
-                0
-            ]
-            return T_cam_imu
+            row = parse_floats(lines[number].split(","), where)
+            transform: FloatArray = _poses([row], where)[0]
+            return transform
     raise InputError(path, f"the transform {name} is missing.", "Copy the file anew.")
 
 
