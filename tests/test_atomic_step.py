@@ -293,7 +293,7 @@ STAGES = {
     "motion model without a solve": Stage(
         "probevo.estimation.motion_model:MotionModel", "after_dead_reckoning", is_blind=True
     ),
-    "last residuals": Stage("probevo.tracking.last_residuals:LastResiduals", "left_by"),
+    "last residuals": Stage("probevo.tracking.last_residuals:LastResiduals", "after_step"),
     "outliers dropped": Stage("probevo.tracking:TrackingState", "without"),
     "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced", first=2),
     "sensor tests": Stage("probevo.estimation.sensor_fusion", "motion_innovations"),

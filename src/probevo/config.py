@@ -268,7 +268,7 @@ class GyroConfig(Settings):
 
 
 class NorthConfig(Settings):
-    """Prior of the first camera's attitude against north, for sensors that measure against it."""
+    """Prior of the first camera's attitude relative to north, for sensors that measure it."""
 
     heading_deg: float | None = Field(
         None,
@@ -276,7 +276,7 @@ class NorthConfig(Settings):
         le=360,
         description=(
             "Heading of the first camera, clockwise from north; if it is not given, it is estimated"
-            " from the first measurements against north."
+            " from the first measurements relative to north."
         ),
     )
     heading_sigma_deg: float = Field(

@@ -20,7 +20,7 @@ from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.frozen_images import are_frozen, may_be_frozen
 from probevo.estimation.landmarks import Landmarks, triangulated
-from probevo.estimation.motion_correction import shares_of, with_correction
+from probevo.estimation.motion_correction import Shares, shares_of, with_correction
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.recovery import INLIERS_FACTOR
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
@@ -284,15 +284,15 @@ class StereoOdometry:
                 camera=self.camera,
                 config=self.config,
             )
-        is_open = not is_frozen and may_be_frozen(state.frame, frame, model)
+        is_ambiguous = not is_frozen and may_be_frozen(state.frame, frame, model)
         clock.lap("track")
         # A second search in the same images, from the last usable frame, finds them prepared.
         prediction = replace(prediction, frame=frame)
-        return self._described(
-            prediction, tracked, clock, is_frozen=is_frozen, may_be_frozen=is_open
+        return self._with_predictors(
+            prediction, tracked, clock, is_frozen=is_frozen, may_be_frozen=is_ambiguous
         )
 
-    def _described(
+    def _with_predictors(
         self,
         prediction: Prediction,
         tracked: Tracked,
@@ -304,10 +304,10 @@ class StereoOdometry:
         """Correct the tracks of the scene for the rig, and compute their predictors."""
         state = prediction.state
         model = state.motion_model
-        # Raw observations stay in the state; only those of this step are corrected, since the
-        # calibration improves while a track lives.
         # Before the solve, the last velocity stands for that at either frame.
         twists = None if model.speed_is_unknown else Twists(model.twist, model.twist)
+        # Raw observations stay in the state; only those of this step are corrected, since the
+        # calibration improves while a track lives.
         corrected = CorrectedTracks.of(tracked.tracks_of_scene, state.rig, self.camera, twists)
         if state.rig is not None:
             clock.lap("calibrate")
@@ -348,7 +348,7 @@ class StereoOdometry:
         clock.lap("consensus")
         if not len(fixed_ids):
             return observed
-        return self._described(
+        return self._with_predictors(
             prediction,
             observed.tracked.with_fixed(fixed_ids),
             clock,
@@ -401,10 +401,10 @@ class StereoOdometry:
         state = observed.prediction.state
         is_solved = solved.visual.status is Status.OK
         is_lost = solved.is_lost and state.last_usable is not None
-        usable = observed.prediction.from_last_usable()
-        if usable is None or not (is_lost or (is_solved and state.window is not None)):
+        retry = observed.prediction.from_last_usable()
+        if retry is None or not (is_lost or (is_solved and state.window is not None)):
             return solved
-        prediction, recovery = usable
+        prediction, recovery = retry
         # Sensors measure from the previous frame, not from the last usable one: leave them out.
         found = self._solve(self._observe(prediction, clock), (), clock)
         fewest = INLIERS_FACTOR * self.config.solver.min_tracks
@@ -412,7 +412,7 @@ class StereoOdometry:
             return solved
         if not is_solved:
             return replace(found, recovery=recovery)
-        # Both velocities are known now, before the gap and behind it.
+        # Both velocities are known now, before the gap and after it.
         gap = state.gap_before(observed.prediction.duration_s, solved.calibrated.accepted())
         across = found.visual.accepted_solution
         if gap is None or gap.contradicts(across.T_curr_prev, across.cov):
@@ -476,8 +476,13 @@ class StereoOdometry:
         # The pose: from the window, or by compounding the motion.
         window = None
         if prediction.window is not None:
+            # A corrected motion and the features are from the same images. Inflate both, so that
+            # the window does not count the images twice.
+            shares = None
+            if any(reading.corrects and reading.measurements for reading in readings):
+                shares = shares_of(two_frame, corrected, self.config.window.frames)
             window = self._adjust(
-                prediction.window, solved, corrected, two_frame=two_frame, measured=measured
+                prediction.window, solved, corrected, shares=shares, measured=measured
             )
             motion = live_motion(corrected, prediction.window, window)
             if solved.visual.is_weak and not window.is_blind[-1]:
@@ -568,12 +573,11 @@ class StereoOdometry:
         if visual.status is not Status.OK:
             # Dead reckoning. Disparity filter and residuals start afresh, since both need the
             # motion of every step.
-            refused = visual.status is Status.NOT_CONVERGED
             motion = solved.calibrated.dead_reckoned(
                 state.motion_model, prediction.motion, duration_s
             )
             model = state.motion_model.after_dead_reckoning(
-                duration_s, prediction.motion, motion.T_curr_prev, refused=refused
+                duration_s, prediction.motion, motion.T_curr_prev, is_rejected=visual.is_rejected
             )
             return motion, replace(
                 state,
@@ -605,7 +609,7 @@ class StereoOdometry:
             else:
                 model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
             if self.predictors.depends_on_previous_motion:
-                residuals = LastResiduals.left_by(solved.tracks, visual.T_reference, self.camera)
+                residuals = LastResiduals.after_step(solved.tracks, visual.T_reference, self.camera)
         return motion, replace(
             state,
             tracking=tracking.without(solved.tracks.ids[visual.outliers]),
@@ -625,7 +629,7 @@ class StereoOdometry:
         solved: Solved,
         corrected: MotionEstimate,
         *,
-        two_frame: MotionEstimate,
+        shares: Shares | None,
         measured: Measured,
     ) -> Window:
         """Adjust the last frames together, starting from the motion of the two-frame solve.
@@ -635,15 +639,11 @@ class StereoOdometry:
             solved: the two-frame solve.
             corrected: the motion of that solve, or else dead-reckoned; corrected, if there is a
                 correction.
-            two_frame: the same without the correction.
+            shares: how features and corrected motion share the information of their images; None
+                without a correction.
             measured: what the sensors measured.
         """
         prediction = solved.prediction
-        # A corrected motion and the features are from the same images. Inflate both, so that the
-        # window does not count the images twice.
-        shares = None
-        if corrected is not two_frame:
-            shares = shares_of(two_frame, corrected, self.config.window.frames)
         measurements = list(measured.motion_measurements)
         # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
         # dead-reckoned motion, whose rotation is the gyro's.

@@ -106,8 +106,8 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
         frame: the next frame.
         imu: calibration of the IMU, if there is one.
     """
-    # The window preintegrates the IMU by itself; below, its gyro predicts the rotation.
     duration_s = 1e-9 * (frame.stamp_ns - state.frame.stamp_ns)
+    # The window preintegrates the IMU itself; the gyro below predicts only the rotation.
     window = state.window
     if window is not None:
         window = with_samples(window, state.frame, frame)
@@ -211,8 +211,8 @@ def motion_for_window(
 
 
 def velocity_for_window(window: Window, prediction: Prediction) -> ConstantVelocity | None:
-    """Return that the velocity of a step is that of the step before, as a measurement of the
-    window; None if the window does not have that step.
+    """Return the constant-velocity measurement of a step, which ties its motion to that of the step
+    before; None if the window does not have that step.
 
     Args:
         window: the window before the step.

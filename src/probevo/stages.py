@@ -35,7 +35,7 @@ class Observed:
     is_frozen: bool
     """Whether the images do not change although the camera moves; then there are no tracks."""
     may_be_frozen: bool
-    """Whether they do not change, and the camera need not rest for all that."""
+    """Whether the images repeat, so that the camera either rests or moves unseen."""
 
     @property
     def missing(self) -> tuple[MissingData, ...]:

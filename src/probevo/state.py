@@ -42,7 +42,7 @@ class StepFeatures:
     T_curr_prev: FloatArray
     """The motion of the two-frame solve, or else the dead-reckoned one, [4, 4], m."""
     tracks_of_vehicle: Tracks = field(default_factory=Tracks.none)
-    """Those of features that are fixed to the vehicle, raw."""
+    """Raw tracks of features that are fixed to the vehicle."""
 
     @staticmethod
     def none(num_columns: int) -> StepFeatures:
@@ -68,7 +68,8 @@ class LastUsable:
 
 @dataclass(frozen=True)
 class Unconnected:
-    """A usable frame before dead-reckoned steps that no feature connects with those behind yet."""
+    """A usable frame before dead-reckoned steps that no feature connects with the frames after them
+    yet."""
 
     usable: LastUsable
     gap: Gap
@@ -111,7 +112,7 @@ class OdometryState:
     solved from images."""
     unconnected: Unconnected | None = None
     """The last usable frame before steps that were dead-reckoned, though the last one was solved,
-    until features connect it with a frame behind them; None without a window."""
+    until features connect it with a frame after them; None without a window."""
 
     @staticmethod
     def at_first_frame(

@@ -212,7 +212,7 @@ def test_where_the_features_fix_no_motion_the_corrected_one_counts_once() -> Non
     frame = int(window.frames[-1]) + 1
     cov = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
     motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
-    after = by.without_features(window, frame, motion, [motion])
+    after = by.without_features(window, frame, motion, [motion], motion_is_measured=True)
     _, found = after.relative(len(after) - 1, len(after) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
 

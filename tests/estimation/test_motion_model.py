@@ -35,12 +35,12 @@ def driving(steps: int = 5) -> MotionModel:
 
 
 def reckoned(
-    model: MotionModel, duration_s: float = STEP_S, *, refused: bool = False
+    model: MotionModel, duration_s: float = STEP_S, *, is_rejected: bool = False
 ) -> MotionModel:
     """After one more step, which is dead-reckoned."""
     prediction = model.predict(duration_s, None)
     return model.after_dead_reckoning(
-        duration_s, prediction, prediction.T_curr_prev, refused=refused
+        duration_s, prediction, prediction.T_curr_prev, is_rejected=is_rejected
     )
 
 
@@ -87,7 +87,7 @@ def test_a_rejected_solve_over_a_microsecond_leaves_a_covariance() -> None:
     model = driving()
     prediction = model.predict(1e-6, None)
     solution = solved(se3.exp(np.array([0.1, 0.0, 1.0, 0.0, 0.0, 0.0])))
-    step = model.dead_reckoned(prediction, solution, refused=True)
+    step = model.dead_reckoned(prediction, solution, is_rejected=True)
     motion = RelativePose(step.T_curr_prev, step.cov, curr=MOTION)
     information = motion.information({MOTION: step.T_curr_prev})
     scale = np.sqrt(np.diagonal(information))
@@ -103,7 +103,7 @@ def test_a_path_that_rejected_solves_lead_along_has_a_covariance() -> None:
     for _ in range(5):
         prediction = model.predict(10.0, None)
         guess = se3.exp(np.concatenate([20.0 * rng.normal(size=3), rng.normal(size=3)]))
-        step = model.dead_reckoned(prediction, solved(guess), refused=False)
+        step = model.dead_reckoned(prediction, solved(guess), is_rejected=False)
         np.testing.assert_array_equal(step.T_curr_prev, guess)
         model = model.after_dead_reckoning(10.0, prediction, step.T_curr_prev)
         adjoint = se3.adjoint(step.T_curr_prev)
@@ -154,7 +154,7 @@ def test_the_covariance_of_a_dead_reckoned_path_does_not_depend_on_the_frame_rat
     cross_covs = []
     for _ in range(round(rate_hz)):
         prediction = model.predict(step_s, None)
-        step = model.dead_reckoned(prediction, None, refused=False)
+        step = model.dead_reckoned(prediction, None, is_rejected=False)
         model = model.after_dead_reckoning(step_s, prediction, prediction.T_curr_prev)
         motions.append(step.T_curr_prev)
         covs.append(step.cov)
@@ -184,7 +184,7 @@ def test_a_refused_solve_is_within_the_covariance_of_the_dead_reckoned_step() ->
     model = driving()
     prediction = model.predict(STEP_S, None)
     solution = solved(se3.exp(np.array([0.3, 0.0, -4.0, 0.0, 0.1, 0.0])))
-    step = model.dead_reckoned(prediction, solution, refused=True)
+    step = model.dead_reckoned(prediction, solution, is_rejected=True)
     np.testing.assert_array_equal(step.T_curr_prev, prediction.T_curr_prev)
     squared = normalized_error_squared(solution.T_curr_prev, step.T_curr_prev, step.cov)
     assert squared < 1.0 + 1e-9
@@ -197,7 +197,7 @@ def test_a_determined_solve_is_taken_only_while_the_speed_is_unknown() -> None:
     solution = solved(se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])))
     for model, is_taken in ((MotionModel.at_start(CONFIG), True), (driving(), False)):
         prediction = model.predict(STEP_S, None)
-        step = model.dead_reckoned(prediction, solution, refused=False)
+        step = model.dead_reckoned(prediction, solution, is_rejected=False)
         expected = solution.T_curr_prev if is_taken else prediction.T_curr_prev
         np.testing.assert_array_equal(step.T_curr_prev, expected)
         np.testing.assert_array_equal(step.cov, prediction.cov)
@@ -387,7 +387,7 @@ def test_the_error_of_the_gyro_bias_adds_up_over_dead_reckoned_steps() -> None:
     path_cov = np.zeros((6, 6))
     for _ in range(20):
         prediction = model.predict(STEP_S, gyro, STEP_S * np.diag(bias_rad_s))
-        step = model.dead_reckoned(prediction, None, refused=False)
+        step = model.dead_reckoned(prediction, None, is_rejected=False)
         model = model.after_dead_reckoning(STEP_S, prediction, step.T_curr_prev)
         adjoint = se3.adjoint(step.T_curr_prev)
         cross = step.path_cross_cov
@@ -416,9 +416,9 @@ def test_a_model_that_refuses_three_solves_in_a_row_is_given_up() -> None:
     truth = se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
     cov = 1e-6 * np.eye(6)
     assert wrong.predict(0.1, None).fails_gate(truth, cov)
-    model = reckoned(reckoned(wrong, refused=True), refused=True)
+    model = reckoned(reckoned(wrong, is_rejected=True), is_rejected=True)
     assert model.predict(0.1, None).fails_gate(truth, cov)
-    model = reckoned(model, refused=True)
+    model = reckoned(model, is_rejected=True)
     assert not model.predict(0.1, None).fails_gate(truth, cov)
     assert len(model.starts(0.1, model.predict(0.1, None))) > 1
 

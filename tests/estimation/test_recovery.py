@@ -136,7 +136,7 @@ def test_the_prediction_over_several_steps_is_that_of_the_motion_model() -> None
     path = DeadReckonedPath.none()
     for _ in range(4):
         prediction = model.predict(0.1, None)
-        reckoned = model.dead_reckoned(prediction, None, refused=False)
+        reckoned = model.dead_reckoned(prediction, None, is_rejected=False)
         motion = MotionEstimate(
             reckoned.T_curr_prev,
             reckoned.cov,

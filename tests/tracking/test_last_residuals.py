@@ -16,7 +16,7 @@ NOISY = seen_twice(np.random.default_rng(0), COUNT, sigma_px=0.7)
 
 
 def sizes(tracks: Tracks, T_curr_prev: FloatArray = FORWARD) -> FloatArray:
-    return LastResiduals.left_by(tracks, T_curr_prev, CAMERA).size_px
+    return LastResiduals.after_step(tracks, T_curr_prev, CAMERA).size_px
 
 
 @pytest.mark.parametrize(
@@ -66,15 +66,19 @@ def test_features_are_found_by_identity() -> None:
     """In any order, however large the numbers; those that were not there have none."""
     rng = np.random.default_rng(4)
     ids = rng.permutation(10**12 + 3 * np.arange(COUNT))
-    left = LastResiduals.left_by(replace(NOISY, ids=ids), FORWARD, CAMERA)
+    left = LastResiduals.after_step(replace(NOISY, ids=ids), FORWARD, CAMERA)
     by_id = dict(zip(ids.tolist(), sizes(NOISY).tolist(), strict=True))
     asked = rng.permutation(10**12 + np.arange(-100, 3 * COUNT + 100))
-    np.testing.assert_array_equal(left.of(asked), [by_id.get(k, np.nan) for k in asked.tolist()])
-    np.testing.assert_array_equal(left.of(ids), sizes(NOISY))
+    np.testing.assert_array_equal(
+        left.size_px_of(asked), [by_id.get(k, np.nan) for k in asked.tolist()]
+    )
+    np.testing.assert_array_equal(left.size_px_of(ids), sizes(NOISY))
 
 
 def test_nothing_left_and_nothing_asked() -> None:
-    for nothing in (LastResiduals.none(), LastResiduals.left_by(Tracks.none(), FORWARD, CAMERA)):
-        np.testing.assert_array_equal(nothing.of(NOISY.ids), np.full(COUNT, np.nan))
-        assert nothing.of(Tracks.none().ids).shape == (0,)
-    assert LastResiduals.left_by(NOISY, FORWARD, CAMERA).of(Tracks.none().ids).shape == (0,)
+    for nothing in (LastResiduals.none(), LastResiduals.after_step(Tracks.none(), FORWARD, CAMERA)):
+        np.testing.assert_array_equal(nothing.size_px_of(NOISY.ids), np.full(COUNT, np.nan))
+        assert nothing.size_px_of(Tracks.none().ids).shape == (0,)
+    assert LastResiduals.after_step(NOISY, FORWARD, CAMERA).size_px_of(Tracks.none().ids).shape == (
+        0,
+    )

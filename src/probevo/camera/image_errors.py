@@ -122,7 +122,7 @@ class ImageErrors:
     readout_s: float = 0.0
     """The readout time that is corrected; 0 until it is noticeable."""
     readout_prior: ReadoutTime = field(default_factory=ReadoutTime.prior)
-    """That of the readout time."""
+    """Prior of the readout time."""
 
     @staticmethod
     def initial(

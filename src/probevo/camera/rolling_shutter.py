@@ -16,7 +16,7 @@ camera at either frame, the residual y' − f(T g(y)) of corrected observations 
 
 Errors of lenses do not look like this: they do not depend on the depth of a point. Where ξ' − ξ = a
 Δt is not known either, as of a rig in a hand, the features show it, too
-(``estimation.velocity_change``): with ξ and ξ' half of it before and behind their mean,
+(``estimation.velocity_change``): with ξ and ξ' half of it before and after their mean,
 
     ∂e/∂(ξ' − ξ) = −½ (s τ − (s τ)²/Δt) ẏ(Ad(T) ·) − ½ (s' τ + (s' τ)²/Δt) ẏ(·).
 """
@@ -38,7 +38,7 @@ from probevo.geometry.se3_numba import perturb
 READOUT_SIGMA_S = 0.02
 """Prior standard deviation of the readout time; that of usual rolling shutters is 10 to 30 ms."""
 KNOWN_SIGMA_S = 0.0005
-"""That where a calibration gives the readout time."""
+"""Prior standard deviation where the calibration gives the readout time."""
 NOTICEABLE_S = 0.003
 """Smallest readout time that is corrected. Steps of a shorter one are as exact as they claim
 (docs/degradation.md)."""
@@ -160,14 +160,15 @@ def change_sensitivity(
     camera: StereoCamera,
     refined: FloatArray,
 ) -> FloatArray:
-    """Return ∂e/∂(ξ' − ξ), [N, 4, 6], px/(m/s) and px/(rad/s), of e = y' − f(T g(y)).
+    """Return ∂e/∂(ξ' − ξ), [N, 4, 6], px/(m/s) and px/(rad/s), of e = y' − f(T g(y)); zero for
+    points behind the camera.
 
     Args:
         T: T_curr_prev, [4, 4].
         readout_s: τ, by which the observations were corrected.
         duration_s: time between the two frames.
         camera: the rectified camera.
-        refined: the points in the previous frame, (u, v, d), [N, 3], px; zero behind the camera.
+        refined: the points in the previous frame, (u, v, d), [N, 3], px.
     """
     sensitivity = np.empty((len(refined), 4, 6))
     adjoint = se3.adjoint(T)

@@ -43,7 +43,7 @@ class AccelerationScale:
 
     @property
     def usual_factors(self) -> FloatArray:
-        """Those of the accelerations that were seen, which may be smaller, [6]."""
+        """Factors by the accelerations that were seen, which may be below 1, [6]."""
         return np.repeat(np.sqrt(self.mean_square), 3)
 
     def after(

@@ -128,7 +128,7 @@ class StepCorrelation(NamedTuple):
 
     @staticmethod
     def none() -> StepCorrelation:
-        """Return that of a step whose error is independent of all others."""
+        """Return the correlation of a step whose error is independent of all others."""
         return StepCorrelation(
             with_before=np.zeros((6, COMMON)),
             with_after=np.zeros((6, COMMON)),
@@ -565,7 +565,7 @@ class _NextCommonMode(NamedTuple):
 
     @staticmethod
     def none(num_tracks: int) -> _NextCommonMode:
-        """Return that of tracks whose errors are independent."""
+        """Return the common mode of tracks whose errors are independent."""
         return _NextCommonMode(
             sensitivity=np.zeros((num_tracks, 2, COMMON)),
             path_sensitivity=np.zeros((6, COMMON)),

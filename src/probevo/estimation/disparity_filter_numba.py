@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 
 
 class LinearizedFeatures(NamedTuple):
-    """N features linearised at a motion, as of ``ReprojectionSolution``."""
+    """N features linearised at a motion, see ``ReprojectionSolution``."""
 
     jacobian: FloatArray
     """∂h/∂(ξ, η), the motion and, if there is one, the rig's jitter, [N, 4, m], m = 6 or 12."""

@@ -60,8 +60,8 @@ def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> Float
     The relative robust weight y = ν/(ν + s) of a residual depends on ν: at ν = 1.6, half of all
     inliers have less than a third. So the weight is the y of an equally rare residual at
     REFERENCE_DOF. Residuals with a smaller y have the probability y^(ν/2) (1 + ν (1 − y)/2), the
-    tail of the F distribution for d = 4. Gaussian noise, as of ``fixed``, has no robust weight, so
-    all its features have weight 1.
+    tail of the F distribution for d = 4. Gaussian noise, such as that of ``fixed``, has no robust
+    weight, so all its features have weight 1.
     """
     robust = np.isfinite(dof) & (dof != REFERENCE_DOF) & (solution.weight > 0.0)
     nu = np.where(robust, dof, REFERENCE_DOF)

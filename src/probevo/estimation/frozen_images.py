@@ -46,12 +46,11 @@ def are_frozen(
 
 
 def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
-    """Return whether images that do not change leave open whether the camera rests.
+    """Return whether the images repeat without telling whether the camera rests.
 
-    The images may be frozen if they are the same bytes, which is rest only where images have no
-    noise; or if they are the same except for noise, and the last motion followed images that
-    repeat, or was refused since it contradicts the rest, as where each frame of a video comes
-    twice.
+    Equal bytes mean a dropped frame, except from a camera without noise. Images that are equal but
+    for noise are ambiguous if the last solved motion followed repeated images, or if a solve was
+    rejected, as in a video whose frames come twice.
 
     Args:
         prev_frame: the previous frame.
@@ -60,8 +59,8 @@ def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
     """
     if are_repeated(prev_frame, frame):
         return True
-    is_open = model.is_after_repetition or model.refusals > 0
-    return is_open and _looks_repeated(prev_frame, frame)
+    is_ambiguous = model.is_after_repetition or model.refusals > 0
+    return is_ambiguous and _looks_repeated(prev_frame, frame)
 
 
 def are_repeated(prev: Frame, curr: Frame) -> bool:

@@ -46,7 +46,7 @@ def initial_motion(
         gyro: the gyro's rotation, if there is one.
         config: settings of RANSAC and gyro.
         rng: source of the samples.
-        right_sigma_px: as of ``InlierThreshold``.
+        right_sigma_px: see ``InlierThreshold``.
 
     Returns:
         The motion, and RANSAC's inliers, or all tracks where the settings say so.

@@ -27,7 +27,7 @@ class SensorOutcome:
     name: str
     state: Literal["used", "gated", "silent", "excluded"]
     reason: str | None = None
-    """Why it was silent, why it starts anew, or why it is excluded."""
+    """Why it was silent, why it is reset, or why it is excluded."""
     squared: float | None = None
     """Largest squared Mahalanobis distance of its innovations; None if none was tested."""
     weight: float = 0.0

@@ -39,6 +39,8 @@ SUDDEN_TURN_RAD_S2 = 20.0
 camera may turn like that from rest, while a moving object, such as a lorry, looks like a
 translation of the camera, hardly like a rotation."""
 
+STEP_SMOOTHING = 0.1
+"""Weight of a new step in the running mean of their durations."""
 MAX_GAPS = 10
 """Steps in a row that may be gaps, before their duration is taken for that of another frame
 rate."""
@@ -91,9 +93,13 @@ class MotionPrediction:
         # Either prediction may be the one that is wrong.
         if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov, gate):
             return False
-        with_sudden_turn = cov.copy()
-        with_sudden_turn[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
-        return self.squared_distance(T_curr_prev, with_sudden_turn) > gate
+        return self.squared_distance(T_curr_prev, self._with_sudden_turn(cov)) > gate
+
+    def _with_sudden_turn(self, cov: FloatArray) -> FloatArray:
+        """Return the covariance of a motion, [6, 6], plus that of a turn that begins suddenly."""
+        enlarged = cov.copy()
+        enlarged[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
+        return enlarged
 
     def agrees(self, T_curr_prev: FloatArray, information: FloatArray) -> bool:
         """Return whether a solved motion passes the gate in the directions that it determines.
@@ -104,8 +110,7 @@ class MotionPrediction:
         """
         if self.alternative is not None and self.alternative.agrees(T_curr_prev, information):
             return True
-        cov = self.cov.copy()
-        cov[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
+        cov = self._with_sudden_turn(self.cov)
         # In units u of the prediction's standard deviations, with information M of the solve,
         # (1 + M⁻¹)⁻¹ = M (1 + M)⁻¹, which needs no inverse of M.
         root = np.linalg.cholesky(cov)
@@ -278,7 +283,7 @@ class MotionModel:
         prediction: MotionPrediction,
         solution: ReprojectionSolution | None,
         *,
-        refused: bool,
+        is_rejected: bool,
     ) -> DeadReckoning:
         """Return the motion of a step without an accepted solve: the prediction.
 
@@ -287,7 +292,7 @@ class MotionModel:
         """
         T_curr_prev = prediction.T_curr_prev
         cov = prediction.cov
-        if solution is not None and refused:
+        if solution is not None and is_rejected:
             # ν νᵀ: one standard deviation reaches from the prediction to the solve.
             innovation = prediction.innovation(solution.T_curr_prev)
             cov = cov + np.outer(innovation, innovation)
@@ -394,7 +399,7 @@ class MotionModel:
         prediction: MotionPrediction,
         T_curr_prev: FloatArray,
         *,
-        refused: bool = False,
+        is_rejected: bool = False,
     ) -> MotionModel:
         """Return the model after a dead-reckoned step: same velocity, larger uncertainty.
 
@@ -402,11 +407,11 @@ class MotionModel:
             duration_s: time between the two frames.
             prediction: what was predicted of its motion.
             T_curr_prev: its motion, [4, 4]: the prediction, or a rejected solve.
-            refused: whether there was a solve that was rejected. After MAX_REFUSALS without an
+            is_rejected: whether there was a solve that was rejected. After MAX_REFUSALS without an
                 accepted one between them, the model itself is taken to be wrong, and becomes as
                 uncertain as at the start.
         """
-        refusals = self.refusals + int(refused)
+        refusals = self.refusals + int(is_rejected)
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
         rate = self._with_step(duration_s)
@@ -428,7 +433,7 @@ class MotionModel:
         if self.is_gap(duration_s) and self.gaps < MAX_GAPS:
             # Missing frames do not change the frame rate.
             return replace(self, gaps=self.gaps + 1)
-        usual_step_s = 0.9 * self.usual_step_s + 0.1 * duration_s
+        usual_step_s = (1.0 - STEP_SMOOTHING) * self.usual_step_s + STEP_SMOOTHING * duration_s
         if self.usual_step_s == 0.0 or self.is_gap(duration_s):
             usual_step_s = duration_s
         return replace(self, usual_step_s=usual_step_s, gaps=0)

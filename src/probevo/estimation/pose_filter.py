@@ -192,7 +192,7 @@ class PoseFilter:
 
     @property
     def knows_heading(self) -> bool:
-        """Whether measurements against north may be linearised: their heading is known."""
+        """Whether measurements relative to north may be linearised: their heading is known."""
         at = self.slice_of(NORTH)
         if at is None:
             return True
@@ -311,7 +311,7 @@ class _JointPrior(VectorMeasurement):
         return np.concatenate([self._pose_prior.residual(values), *others])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, as of ``PosePrior``, and −1 for the others."""
+        """Return ∂e/∂ξ of the pose, see ``PosePrior``, and −1 for the others."""
         # One [6 + n, ·] for each variable, whose own rows alone are not zero.
         size = len(self.covariance)
         of_pose = np.zeros((size, POSE))

@@ -128,7 +128,7 @@ def find_consensus_near(
         cov: covariance by which the squared Mahalanobis distance to the guess is to be at most 1,
             [6, 6].
         threshold: largest error of an inlier in any of u_l, v_l, u_r.
-        confidence: as of ``find_consensus``.
+        confidence: see ``find_consensus``.
     """
     samples = _drawn(len(tracks), 3, rng, confidence)
     near = np.ascontiguousarray(np.linalg.inv(cov), np.float64)
@@ -159,7 +159,7 @@ def _consensus(
         samples: rows of the features of each, [M, 3] or [M, 1].
         start: the motion to start from, which competes, [4, 4].
         threshold: largest error of an inlier.
-        near: as of ``_Problem``.
+        near: see ``_Problem``.
     """
     # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
     disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]

@@ -110,13 +110,13 @@ class Gap:
 
     The mean velocity meanwhile is that of both, up to the accelerations of the vehicle. A motion
     across the gap that contradicts it is not the camera's: a lorry that covers the view may be seen
-    before and behind, too.
+    before and after the gap, too.
     """
 
     duration_s: float
     """Of the dead-reckoned steps."""
     mean_twist: FloatArray
-    """Mean of the velocities before and behind, [6], m/s and rad/s."""
+    """Mean of the velocities before and after the gap, [6], m/s and rad/s."""
     sigma: FloatArray
     """Standard deviation of the mean velocity in between, [6]."""
     T_curr_end: FloatArray
@@ -131,7 +131,7 @@ class Gap:
         Args:
             path: the dead-reckoned one.
             before: the motion model at its start.
-            motion: the step behind it.
+            motion: the step after it.
             duration_s: time of that step.
         """
         twist = se3.log(motion.T_curr_prev) / duration_s

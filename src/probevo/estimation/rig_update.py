@@ -60,12 +60,12 @@ class CommonMode(NamedTuple):
     """∂ξ/∂τ of the readout time, [6], m/s and rad/s."""
 
     def times(self, matrix: FloatArray) -> CommonMode:
-        """Return that of a motion whose error is a matrix, [6, 6], times the error of this one."""
+        """Return the common mode of a motion whose error is a matrix, [6, 6], times this one's."""
         return CommonMode(*(matrix @ part for part in self))
 
     @staticmethod
     def none() -> CommonMode:
-        """Return that of a motion on which no calibration has an influence."""
+        """Return the common mode of a motion on which no calibration has an influence."""
         return CommonMode(
             np.zeros((6, COMMON_MODE_COLUMNS)),
             distortion_gain=np.zeros((6, NUM_COEFFICIENTS)),
@@ -158,12 +158,12 @@ def _updated_rig(
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
-    of_focal = curvature * information[_FOCAL]
+    with_focal = curvature * information[_FOCAL]
     # The field, by which the tracks were corrected, takes up most of a wrong focal length. So take
     # the gradient at a field of zero.
     focal = rig.focal.with_step(
-        of_focal[:, _FOCAL],
-        gradient[_FOCAL] + of_focal[:, _FIELD] @ rig.image.distortion,
+        with_focal[:, _FOCAL],
+        gradient[_FOCAL] + with_focal[:, _FIELD] @ rig.image.distortion,
         np.append(rig.disparity, 0.0),
     )
     updated = replace(updated, focal=focal)

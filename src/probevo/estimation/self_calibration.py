@@ -25,6 +25,7 @@ from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rolling_shutter import Twists, change_sensitivity
 from probevo.camera.stereo import StereoCamera
+from probevo.estimation import gauss_newton
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -95,9 +96,7 @@ class CalibratedMotion:
             duration_s: time between the two frames.
         """
         visual = self.visual
-        reckoned = model.dead_reckoned(
-            prediction, visual.solution, refused=visual.status is Status.NOT_CONVERGED
-        )
+        reckoned = model.dead_reckoned(prediction, visual.solution, is_rejected=visual.is_rejected)
         return MotionEstimate(
             T_curr_prev=reckoned.T_curr_prev,
             cov=reckoned.cov,
@@ -213,10 +212,10 @@ class SelfCalibratingEstimator:
             change_cov=motion_model.twist_change_cov(duration_s),
         )
 
-        def solve(tracks: CorrectedTracks, velocity: _StepVelocity) -> CalibratedMotion:
+        def solve(tracks: CorrectedTracks, assumed: _StepVelocity) -> CalibratedMotion:
             """Solve for the motion of these tracks under this velocity."""
             return self._solve_until_jitter_fits(
-                tracks, phi, priors, velocity, seed=seed, clock=clock
+                tracks, phi, priors, assumed, seed=seed, clock=clock
             )
 
         found = solve(corrected, velocity)
@@ -275,7 +274,7 @@ class SelfCalibratingEstimator:
         updated."""
         rig = corrected.rig
         jitter_cov = None if rig is None else rig.jitter.cov
-        for repeats_left in reversed(range(1 + MAX_REPEATED_SOLVES)):
+        for attempt in range(1 + MAX_REPEATED_SOLVES):
             visual = self._visual.estimate(
                 corrected.tracks,
                 phi,
@@ -305,7 +304,7 @@ class SelfCalibratingEstimator:
                 velocity.twists(two_frames),
                 change=velocity.unknown(two_frames, corrected.readout_s, self._camera),
             )
-            if not repeats_left or not updated.jitter.exceeds(jitter_cov):
+            if attempt == MAX_REPEATED_SOLVES or not updated.jitter.exceeds(jitter_cov):
                 break
             jitter_cov = updated.jitter.cov
         return CalibratedMotion(
@@ -359,9 +358,5 @@ def _held_by(
         return of_images
     values = {variable: np.eye(4) for one in priors.measurements for variable in one.variables}
     values[priors.curr] = solution.T_curr_prev
-    information = np.zeros((6, 6))
-    for one in priors.measurements:
-        start = 6 * one.variables.index(priors.curr)
-        of_pose = slice(start, start + 6)
-        information += one.information(values)[of_pose, of_pose]
+    information = gauss_newton.information(priors.measurements, values, [priors.curr])
     return of_images.times(np.eye(6) - solution.cov @ information)

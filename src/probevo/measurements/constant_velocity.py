@@ -43,6 +43,11 @@ class ConstantVelocity(VectorMeasurement):
         """The three poses."""
         return (self.before, self.prev, self.curr)
 
+    @property
+    def prev_frame(self) -> int:
+        """Index of the frame where the motion starts."""
+        return self.prev.frame
+
     def expected(self, values: Values) -> FloatArray:
         """Return the motion T_cb by the step before, Exp(s Log T_ba), [4, 4]."""
         last_motion = se3.log(values[self.prev] @ se3.inverse(values[self.before]))

@@ -37,8 +37,8 @@ class Direction(VectorMeasurement):
         known: d, [3], in the world, which is the first camera; or, with ``north``, in east, north
             and up.
         covariance: in the tangent plane, [2, 2], rad², in its directions of azimuth and zenith.
-        north: ``NORTH`` if ``known`` is in east, north and up; the attitude of the world against
-            them is then estimated, too.
+        north: ``NORTH`` if ``known`` is in east, north and up; the attitude of the world relative
+            to them is then estimated, too.
 
     Raises:
         InputError: a direction is not finite or zero, or the covariance not positive definite.
@@ -98,7 +98,7 @@ class Direction(VectorMeasurement):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The pose, and the attitude of the world against north if that is needed."""
+        """The pose, and the attitude of the world relative to north if that is needed."""
         return (self.pose,) if self.north is None else (self.pose, self.north)
 
     def residual(self, values: Values) -> FloatArray:
@@ -115,7 +115,7 @@ class Direction(VectorMeasurement):
         return residual
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude against north, [2, 3].
+        """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude relative to north, [2, 3].
 
         It is the covariant derivative: as p moves, the axes are transported without rotating about
         it. A rotation of the axes would change neither the length of e nor the cost, but it would

@@ -26,7 +26,7 @@ class Heading(VectorMeasurement):
         heading_rad: what was measured, from north; without ``north``, from the heading of the first
             camera, which is then taken to be level.
         sigma_rad: its standard deviation.
-        north: ``NORTH`` if it is from north; the attitude of the world against it is then
+        north: ``NORTH`` if it is from north; the attitude of the world relative to it is then
             estimated, too.
 
     Raises:
@@ -49,7 +49,7 @@ class Heading(VectorMeasurement):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The pose, and the attitude of the world against north if that is needed."""
+        """The pose, and the attitude of the world relative to north if that is needed."""
         return (self.pose,) if self.north is None else (self.pose, self.north)
 
     def residual(self, values: Values) -> FloatArray:
@@ -61,7 +61,7 @@ class Heading(VectorMeasurement):
         return np.array([math.remainder(difference, 2.0 * math.pi)])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude against north, [1, 3]."""
+        """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude relative to north, [1, 3]."""
         ahead = self._ahead_in_enu(values)
         level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), 1e-12)
         # e = measured − atan2(east, north), so that ∂e/∂(east, north) = (−north, east)/(east² +

@@ -79,7 +79,7 @@ class Iterate(NamedTuple):
     """η, [6]."""
 
 
-class JointEquations(NamedTuple):
+class JitterEquations(NamedTuple):
     """Hessian · (ξ, η) = gradient."""
 
     hessian: FloatArray
@@ -88,9 +88,9 @@ class JointEquations(NamedTuple):
     """The direction of descent, [12]."""
 
     @staticmethod
-    def empty() -> JointEquations:
+    def empty() -> JitterEquations:
         """Return uninitialised arrays."""
-        return JointEquations(hessian=np.empty((6 + DOF, 6 + DOF)), gradient=np.empty(6 + DOF))
+        return JitterEquations(hessian=np.empty((6 + DOF, 6 + DOF)), gradient=np.empty(6 + DOF))
 
 
 @compiled
@@ -307,7 +307,7 @@ def _set_jitter(
     propagated: PropagatedNoise,
     jitter: LinearizedJitter,
     loss: _LossAt,
-    equations: JointEquations,
+    equations: JitterEquations,
 ) -> None:
     """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for.
 
@@ -401,7 +401,7 @@ def joint_normal_equations(
     jitter: LinearizedJitter,
     loss: LossParameters,
     newton: bool,
-    equations: JointEquations,
+    equations: JitterEquations,
 ) -> float:
     """Fill in the normal equations over (ξ, η), with the prior of η; return the cost.
 

@@ -17,7 +17,7 @@ VAGUENESS = 1e3
 class Position(VectorMeasurement):
     """A measured position in east, north and up, of an antenna that is fixed to the camera.
 
-    Where the first camera is, and how it looks against north, is estimated with the pose
+    Where the first camera is, and how it looks relative to north, is estimated with the pose
     (``ORIGIN``, ``NORTH``). Its heading must be known to some degrees (``north.heading_deg``), as
     from the course of the first fixes: with an unknown one, the first metres of a path would
     determine it, to which the fixes are far too coarse.
@@ -52,7 +52,7 @@ class Position(VectorMeasurement):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The pose, the attitude of the world against north, and the position of the first
+        """The pose, the attitude of the world relative to north, and the position of the first
         camera."""
         return (self.pose, NORTH, ORIGIN)
 

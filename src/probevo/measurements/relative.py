@@ -37,6 +37,17 @@ class RelativeMeasurement(VectorMeasurement):
         """The poses of both frames, or only the current one."""
         return (self.curr,) if self.prev is None else (self.prev, self.curr)
 
+    @property
+    def prev_frame(self) -> int:
+        """Index of the frame where the motion starts.
+
+        Raises:
+            ValueError: the world of the poses is the previous camera.
+        """
+        if self.prev is None:
+            raise ValueError("the measurement has no previous pose")
+        return self.prev.frame
+
     def motion(self, values: Values) -> FloatArray:
         """Return T_curr_prev at these values, [4, 4]."""
         return relative_motion(values, self.curr, self.prev)

@@ -37,7 +37,7 @@ from probevo.measurements.jitter_numba import (
     DOF,
     Iterate,
     JitterEffects,
-    JointEquations,
+    JitterEquations,
     LinearizedJitter,
     jitter_effects,
     jitter_information,
@@ -303,7 +303,7 @@ class StereoObservations:
         if self.jitter is None or self.linearized_jitter is None:
             motion = self._motion_equations(T_curr_prev, newton=newton)
         else:
-            equations = JointEquations.empty()
+            equations = JitterEquations.empty()
             cost = joint_normal_equations(
                 Iterate(T_curr_prev, values[self.jitter.variable]),
                 self.camera,

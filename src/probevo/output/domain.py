@@ -22,7 +22,7 @@ def domain_warning(out_of_domain: float | None) -> str | None:
     if out_of_domain is None or out_of_domain <= WARN_ABOVE:
         return None
     return (
-        f"The noise model was trained on nothing like {domain_text(out_of_domain)}. For these it"
-        " falls back on its prior, and weights and covariance deserve less"
-        " trust. Train it on recordings like this one, with probevo train."
+        f"{domain_text(out_of_domain)} lie outside the training data of the noise model. For these"
+        " it falls back on its prior, and their weights and covariances deserve less trust. Train"
+        " it on recordings like this one, with probevo train."
     )

@@ -145,8 +145,8 @@ def jitter_text(sigma_rad: FloatArray) -> str:
     """Describe the jitter of the rig: σ of the right camera's pitch, yaw and roll, [3]."""
     pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
     return (
-        f"jitters against the left one by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll a"
-        " frame"
+        f"jitters relative to the left one by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll"
+        " a frame"
     )
 
 

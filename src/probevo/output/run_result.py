@@ -154,8 +154,8 @@ class RunResult:
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None
-    """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
-    off in each frame, as estimated at the end, [3]; None without self-calibration."""
+    """Standard deviation by which pitch, yaw and roll of the right camera relative to the left one
+    are off in each frame, as estimated at the end, [3]; None without self-calibration."""
     row_errors: RowErrors | None = None
     """How far the rows of the right images are off, as estimated at the end; None without
     self-calibration, and in files of versions that did not store it."""

@@ -103,7 +103,7 @@ class Step:
     @property
     def previous_residual_px(self) -> FloatArray:
         """Size of each feature's residual in the previous step, [N], px; NaN where unknown."""
-        return self.previous_residuals.of(self.tracks.ids)
+        return self.previous_residuals.size_px_of(self.tracks.ids)
 
     def for_all_features(self, values: FloatArray) -> FloatArray:
         """Repeat values that belong to the step as a whole for each feature, [C] → [N, C]."""

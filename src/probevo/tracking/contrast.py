@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from probevo.arrays import FloatArray
 from probevo.sequences.prepared_images import Pyramid
@@ -83,12 +84,16 @@ def _cells(pyramid: Pyramid) -> _Cells:
     rows = max(height // side, 1)
     columns = max(width // side, 1)
     inside = level[: rows * (height // rows), : columns * (width // columns)].astype(np.float32)
-    # By whole factors, INTER_AREA is the mean over a cell.
-    mean, mean_square = (
-        cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA).ravel().astype(np.float64)
-        for values in (inside, inside * inside)
-    )
+    mean = _mean_of_cells(inside, columns, rows)
+    mean_square = _mean_of_cells(inside * inside, columns, rows)
     return _Cells(mean, np.sqrt(np.maximum(mean_square - mean * mean, 0.0)))
+
+
+def _mean_of_cells(values: NDArray[np.float32], columns: int, rows: int) -> FloatArray:
+    """Return the mean of an image over each cell, [columns rows]."""
+    # By whole factors, INTER_AREA is the mean over a cell.
+    means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
+    return means.ravel().astype(np.float64)
 
 
 def _gain(template: _Cells, image: _Cells) -> float:

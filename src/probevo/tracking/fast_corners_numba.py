@@ -39,7 +39,7 @@ class Strongest(NamedTuple):
 
 
 class CellCorners(NamedTuple):
-    """The strongest corners of one cell, the strongest first; as of ``Strongest``."""
+    """The strongest corners of one cell, the strongest first; see ``Strongest``."""
 
     strength: IntArray
     """[per_cell], grey levels."""

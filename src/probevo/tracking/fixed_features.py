@@ -60,7 +60,7 @@ class StepsAtRest(NamedTuple):
 
 
 class FixedFeatureCount:
-    """Counts both step by step.
+    """Counts features that are fixed to the vehicle, and steps at rest, step by step.
 
     Args:
         camera: the rectified camera.

@@ -21,7 +21,7 @@ from probevo.tracking.lucas_kanade import TrackedPoints, track_points
 from probevo.tracking.preparation import prepare_images
 from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
-from probevo.tracking.tracks import OTHER_ROW, Tracks
+from probevo.tracking.tracks import MASKED, NEGATIVE_DISPARITY, NO_MATCH, OTHER_ROW, Tracks
 from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
 BORDER_PX = 5.0
@@ -70,7 +70,7 @@ class Followed:
     alive: TrackingState
     """The features of the tracks in this frame, without their anchor patches."""
     patches: AnchorPatches
-    """Of the same."""
+    """Anchor patches of the same features."""
     left_px: FloatArray
     """(u, v) of those found in the left image, whether or not in the right one, too, [N, 2], px."""
     disparity_px: FloatArray
@@ -240,7 +240,7 @@ class ImageTracker:
         rejected[LEFT_THE_VIEW] += int((~inside).sum())
         if images.left_usable is not None:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
-            rejected["masked"] += int((inside & ~unmasked).sum())
+            rejected[MASKED] += int((inside & ~unmasked).sum())
             inside &= unmasked
         fewest = _fewest_to_go_on(self._config)
         alike = _look_alike(tracked.difference, inside, self._config, fewest=fewest)
@@ -312,16 +312,16 @@ class ImageTracker:
         # alike there says that the point is seen in another row, or farther to the right.
         is_alike = tracked.difference <= ALIKE_ELSEWHERE
         rejected[OTHER_ROW] += int((~same_row & is_alike).sum())
-        rejected["negative disparity"] += int((is_negative & is_alike).sum())
-        rejected["no stereo match"] += int(((~same_row | is_negative) & ~is_alike).sum())
+        rejected[NEGATIVE_DISPARITY] += int((is_negative & is_alike).sum())
+        rejected[NO_MATCH] += int(((~same_row | is_negative) & ~is_alike).sum())
         rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
         consistent = same_row & has_disparity
         if images.right_usable is not None:
             unmasked = _unmasked(tracked.pixels, images.right_usable)
-            rejected["masked"] += int((consistent & ~unmasked).sum())
+            rejected[MASKED] += int((consistent & ~unmasked).sum())
             consistent &= unmasked
         alike = _look_alike(tracked.difference, consistent, self._config, fewest=fewest)
-        rejected["no stereo match"] += int((consistent & ~alike).sum())
+        rejected[NO_MATCH] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
         aligned = patches.subset(alike).align_right(images.right_spline, tracked.pixels[alike])
         same_row, has_disparity = self._is_consistent(left_px[alike], aligned.pixels)

@@ -28,7 +28,7 @@ class LastResiduals:
         return LastResiduals(np.zeros(0, np.int64), np.zeros(0))
 
     @staticmethod
-    def left_by(
+    def after_step(
         tracks: Tracks, T_curr_prev: FloatArray | None, camera: StereoCamera
     ) -> LastResiduals:
         """Compute the residuals of all tracks of a step at T_curr_prev, [4, 4]; none without it.
@@ -39,7 +39,7 @@ class LastResiduals:
             return LastResiduals.none()
         return LastResiduals(tracks.ids, _residual_sizes(tracks, T_curr_prev, camera))
 
-    def of(self, ids: IntArray) -> FloatArray:
+    def size_px_of(self, ids: IntArray) -> FloatArray:
         """Return the residuals of features by identity, [N], px; NaN where unknown."""
         found = np.full(len(ids), np.nan)
         rows = rows_of(ids, self.ids)

@@ -13,7 +13,7 @@ import numpy as np
 from probevo.errors import InputError
 from probevo.sequences.format_options import BAG_SUFFIXES
 from probevo.sequences.frame import Frame
-from probevo.tracking.tracks import Tracks
+from probevo.tracking.tracks import NEGATIVE_DISPARITY, Tracks
 
 FRAMES_TO_SEE = 3
 """Number of steps whose matches are counted before the check."""
@@ -46,7 +46,7 @@ def count_matches(tracks: Tracks) -> tuple[int, int]:
     is_positive = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
     num_positive = int(is_positive.sum())
     num_negative = int((~is_positive).sum())
-    return num_positive, num_negative + tracks.rejected.get("negative disparity", 0)
+    return num_positive, num_negative + tracks.rejected.get(NEGATIVE_DISPARITY, 0)
 
 
 def looks_swapped(num_positive: int, num_negative: int) -> bool:
@@ -68,7 +68,7 @@ class LeftRightCheck:
 
     Args:
         recording: its path, for the message.
-        num_frames: of it; of a short one, all frames are counted.
+        num_frames: number of frames of the recording; all are counted if it is short.
     """
 
     def __init__(self, recording: str | Path, num_frames: int) -> None:

@@ -15,6 +15,12 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 
+NEGATIVE_DISPARITY = "negative disparity"
+"""Why a match is rejected that lies farther right in the right image than in the left one."""
+NO_MATCH = "no stereo match"
+"""Why a feature is rejected whose window looks different in the right image."""
+MASKED = "masked"
+"""Why a feature is rejected that a mask covers."""
 OTHER_ROW = "rows differ"
 """Why a match is rejected whose window looks alike, but lies in another row of the right image."""
 NEW_ERROR_PX = 1.0

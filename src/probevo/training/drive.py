@@ -45,7 +45,7 @@ class Drive:
 
     def rows(self, step: int) -> slice:
         """Return the features of a step."""
-        return slice(*self.first_of_step[step : step + 2].tolist())
+        return slice(int(self.first_of_step[step]), int(self.first_of_step[step + 1]))
 
     def tracks(self, step: int) -> Tracks:
         """Return the features of a step as tracks; their ages are not known."""

@@ -50,7 +50,7 @@ class Supervision:
     def stretches(self) -> IntArray:
         """First and last frame of each of U stretches, [U, 2]."""
         if self.kind in ("position", "loop"):
-            return self.frames[[[0, -1]]]
+            return np.array([[self.frames[0], self.frames[-1]]])
         return np.column_stack([self.frames[:-1], self.frames[1:]])
 
     def stretch_of_step(self, num_steps: int) -> IntArray:

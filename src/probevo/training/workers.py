@@ -97,7 +97,9 @@ class Workers:
                         losses = 1 if len(job.found) > num_done else losses + 1
                 # One at a time, so that it shows which task it is that takes down its worker.
                 for number in job.missing:
-                    any(job.attempt(run, [number]) for _ in range(MAX_LOSSES))
+                    for _ in range(MAX_LOSSES):
+                        if job.attempt(run, [number]):
+                            break
         except NoWorkerError as error:
             raise InputError(
                 _listed([names[number] for number in job.missing]),

@@ -39,7 +39,7 @@ from probevo.estimation.window.equations import (
     LANDMARK,
     POSE,
     RIG,
-    Elimination,
+    LandmarkElimination,
     RobustNoise,
     WindowEquations,
     WindowGeometry,
@@ -90,7 +90,7 @@ class _System:
     window: Window
     cost: float
     equations: WindowEquations
-    elimination: Elimination
+    elimination: LandmarkElimination
     jitter: JitterElimination
     inertial: InertialSystem | None
 
@@ -151,8 +151,8 @@ class WindowAdjustment:
                 candidate = system.window
         # The covariance is that of the last equations formed, at most that small increment before.
         cov, cov_of_motions = self._covariances(system.equations.hessian)
-        of_imu = candidate.inertial.with_covariance(system.inertial, cov)
-        return replace(candidate, cov=cov, cov_of_motions=cov_of_motions, inertial=of_imu)
+        inertial = candidate.inertial.with_covariance(system.inertial, cov)
+        return replace(candidate, cov=cov, cov_of_motions=cov_of_motions, inertial=inertial)
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
@@ -241,7 +241,7 @@ class WindowAdjustment:
         x = window.offsets()
         towards_prior = window.prior.vector - window.prior.information @ x
         equations = WindowEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
-        elimination = Elimination(
+        elimination = LandmarkElimination(
             coupling=np.empty((num_observations, LANDMARK, FRAME)),
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
             inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
@@ -261,10 +261,10 @@ class WindowAdjustment:
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
         hessian = reduced.hessian + window.prior.information
         gradient = reduced.gradient + towards_prior
-        of_imu = inertial_steps.system_of(window)
-        if of_imu is not None:  # its velocities, biases and gravity are eliminated, too
-            imu_hessian, imu_gradient = of_imu.reduced()
-            cost += of_imu.cost
+        inertial_system = inertial_steps.system_of(window)
+        if inertial_system is not None:  # its velocities, biases and gravity are eliminated, too
+            imu_hessian, imu_gradient = inertial_system.reduced()
+            cost += inertial_system.cost
             hessian += imu_hessian
             gradient += imu_gradient
         return _System(
@@ -273,7 +273,7 @@ class WindowAdjustment:
             equations=WindowEquations(hessian=hessian, gradient=gradient),
             elimination=elimination,
             jitter=jitter,
-            inertial=of_imu,
+            inertial=inertial_system,
         )
 
     def _increment(self, system: _System, damping: float) -> tuple[FloatArray, float]:
@@ -301,9 +301,10 @@ class WindowAdjustment:
         rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_gradient = gradient[rig] - gain.T @ gradient[poses]
         tempered = rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
-        of_rig = self._rig_covariance(rig_information) @ tempered
-        decrease = gradient[poses] @ solved[:, RIG] + of_rig @ tempered
-        return np.concatenate([solved[:, RIG] - gain @ of_rig, of_rig]), float(decrease)
+        rig_increment = self._rig_covariance(rig_information) @ tempered
+        decrease = gradient[poses] @ solved[:, RIG] + rig_increment @ tempered
+        pose_increment = solved[:, RIG] - gain @ rig_increment
+        return np.concatenate([pose_increment, rig_increment]), float(decrease)
 
     def _covariances(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the joint covariance of poses and rig, and the one for motions between the poses.
@@ -316,22 +317,22 @@ class WindowAdjustment:
         # They are the same unless the position in the world is as good as unknown.
         return cov, cov if of_motions is in_world else self._with_rig(of_motions, hessian)
 
-    def _with_rig(self, of_poses: FloatArray, hessian: FloatArray) -> FloatArray:
+    def _with_rig(self, pose_cov: FloatArray, hessian: FloatArray) -> FloatArray:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4].
 
         Args:
-            of_poses: covariance of the poses for a rig that is known exactly, [6K, 6K].
+            pose_cov: covariance of the poses for a rig that is known exactly, [6K, 6K].
             hessian: of poses and rig, [6K + 4, 6K + 4].
         """
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
         # The inverse by blocks: with the gain G = H_pp⁻¹ H_pr and the tempered covariance Σ_rr of
         # the rig, Σ_pp = H_pp⁻¹ + G Σ_rr Gᵀ and Σ_pr = −G Σ_rr.
-        gain = of_poses @ hessian[poses, rig]
+        gain = pose_cov @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_cov = self._rig_covariance(information)
         cov = np.empty_like(hessian)
-        cov[poses, poses] = of_poses + gain @ rig_cov @ gain.T
+        cov[poses, poses] = pose_cov + gain @ rig_cov @ gain.T
         cov[poses, rig] = -gain @ rig_cov
         cov[rig, poses] = cov[poses, rig].T
         cov[rig, rig] = rig_cov
@@ -354,14 +355,14 @@ class WindowAdjustment:
         """Return the window after an increment of poses and rig; the landmarks follow."""
         window = system.window
         # Back-substitution in the reverse order of the elimination: jitters, then landmarks.
-        of_jitters = system.jitter.offset - system.jitter.gain @ increment
+        jitter_increment = system.jitter.offset - system.jitter.gain @ increment
         at_jitter, at_others = jitter_columns(len(window))
-        of_all = np.empty(FRAME * len(window) + RIG)
-        of_all[at_jitter] = of_jitters
-        of_all[at_others] = increment
+        full_increment = np.empty(FRAME * len(window) + RIG)
+        full_increment[at_jitter] = jitter_increment
+        full_increment[at_others] = increment
         state = np.empty_like(window.landmarks.state)
         move_landmarks(
-            window.landmarks.state, window.observations, system.elimination, of_all, state
+            window.landmarks.state, window.observations, system.elimination, full_increment, state
         )
         # T ← Exp(ξ) T for each pose.
         T_cam_world = se3.exp(increment[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
@@ -374,7 +375,7 @@ class WindowAdjustment:
             T_cam_world=T_cam_world,
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
             rig=window.rig + increment[-RIG:],
-            jitter=window.jitter + of_jitters.reshape(-1, JITTER),
+            jitter=window.jitter + jitter_increment.reshape(-1, JITTER),
             inertial=window.inertial.after_increment(system.inertial, increment),
             landmarks=window.landmarks._replace(state=state),
         )

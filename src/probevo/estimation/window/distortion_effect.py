@@ -191,7 +191,13 @@ class DistortionEffect:
         return moment
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
-        """Return that of the motion between two frames, with its adjoint, [6, 6]."""
+        """Return the second moment of the error of the motion between two frames, [6, 6].
+
+        Args:
+            slot: of the frame at the end of the motion.
+            other: of the frame at its start.
+            adjoint: of the motion, [6, 6].
+        """
 
         def difference(of_frames: FloatArray) -> FloatArray:
             """Return what has been added from the other frame to this one."""

@@ -87,7 +87,7 @@ class WindowEquations(NamedTuple):
     """[S]."""
 
 
-class Elimination(NamedTuple):
+class LandmarkElimination(NamedTuple):
     """What finds the L landmarks once the poses are known."""
 
     coupling: FloatArray

@@ -26,7 +26,7 @@ from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.new_frame import FoundAgain, with_new_pose, with_tracks
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, Values, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
@@ -87,8 +87,8 @@ class WindowEstimator:
             step: the tracks from one of them to the new one.
             motion: the motion between these two frames, corrected if there is a correction; a
                 dead-reckoned one may start at an earlier frame.
-            velocity: that the velocity is that of the step before; it counts where the features
-                leave a direction of the motion open.
+            velocity: constant velocity over the last two steps; it counts where the features leave
+                a direction of the motion open.
             shares: how the features and their corrected motion share the information of their
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
@@ -142,7 +142,7 @@ class WindowEstimator:
         # Features may show a part of the motion, and the velocity before the rest; at the start,
         # the prior of the motion model stands in for that.
         known = velocity or motion
-        if shares is None and step.solved.visual.is_weak and known.variables[-2].frame == step.prev:
+        if shares is None and step.solved.visual.is_weak and known.prev_frame == step.prev:
             weak = self._with_weak_features(window, step, known=known, measurements=measurements)
             if weak is not None:
                 return weak
@@ -155,7 +155,7 @@ class WindowEstimator:
             return self.without_features(window, frame, motion, measurements)
         # Since the frame where the dead reckoning starts, such features have shown more of the
         # velocity.
-        by_velocity = velocity.from_prev(_values(window), last_cov)
+        by_velocity = velocity.from_prev(window.values(), last_cov)
         return self.without_features(window, frame, by_velocity, measurements, velocity=velocity)
 
     def _features_of(self, step: SolvedTracks) -> tuple[Tracks, StereoNoise] | None:
@@ -203,7 +203,7 @@ class WindowEstimator:
                 features; None if it does not.
             found_again: tracks from an earlier frame to the new one, which count beside these.
         """
-        prev = window.slot(two_frames.variables[0].frame)
+        prev = window.slot(two_frames.prev_frame)
         frame = two_frames.curr.frame
         try:
             extended = self.with_frame(
@@ -230,7 +230,14 @@ class WindowEstimator:
         others = [one for one in measurements if set(one.variables) != variables]
         if motion_factor is not None:
             others.append(two_frames)
-        return self.without_features(window, frame, two_frames, others, in_motion=of_motion)
+        return self.without_features(
+            window,
+            frame,
+            two_frames,
+            others,
+            in_motion=of_motion,
+            motion_is_measured=motion_factor is not None,
+        )
 
     def _with_weak_features(
         self,
@@ -247,8 +254,8 @@ class WindowEstimator:
         Args:
             window: K frames.
             step: the tracks from the frame before the new one.
-            known: that the velocity is the same as in the step before, or a motion between the same
-                frames as the tracks.
+            known: constant velocity over the last two steps, or a motion between the same frames as
+                the tracks.
             measurements: further measurements of the poses of the window.
 
         Returns:
@@ -261,7 +268,7 @@ class WindowEstimator:
         tracks, noise = features
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
         # other alone so far off in all others that they look like outliers.
-        expected = known.expected(_values(window))
+        expected = known.expected(window.values())
         difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
         both = two_frames.hessian + np.linalg.inv(known.covariance)
         shift = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
@@ -288,6 +295,7 @@ class WindowEstimator:
         *,
         in_motion: Sequence[Measurement] = (),
         velocity: ConstantVelocity | None = None,
+        motion_is_measured: bool = False,
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
@@ -297,10 +305,12 @@ class WindowEstimator:
             window: K frames.
             frame: index of the new one.
             motion: measured between one of them and the new one, as by dead reckoning.
-            measurements: further measurements of the poses of the window; it may be one of them.
+            measurements: further measurements of the poses of the window.
             in_motion: measurements that the motion is estimated from, so that they count only where
                 it does not.
             velocity: what the motion is estimated from; it counts in place of the motion.
+            motion_is_measured: whether the motion is one of these measurements, as a corrected one;
+                it must not count twice.
         """
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
@@ -308,10 +318,9 @@ class WindowEstimator:
         # The motion by dead reckoning or IMU alone, before the sensors.
         reckoned = _bounded(inertial_steps.predicted_motion(window, frame) or motion)
         measurements, guess = tested_against(reckoned, measurements, window)
-        prev = window.slot(reckoned.variables[0].frame)
+        prev = window.slot(reckoned.prev_frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
-        # A corrected motion is one of the measurements already, and must not count twice.
-        if all(one is not motion for one in given):
+        if not motion_is_measured:
             if extended.inertial.bridges_newest:
                 measurements = [*measurements, *in_motion]
             else:
@@ -327,7 +336,13 @@ class WindowEstimator:
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
         return self.without_features(
-            left_out, frame, motion, given, in_motion=in_motion, velocity=velocity
+            left_out,
+            frame,
+            motion,
+            given,
+            in_motion=in_motion,
+            velocity=velocity,
+            motion_is_measured=motion_is_measured,
         )
 
     def _with_inertial_start(self, window: Window) -> Window:
@@ -444,14 +459,9 @@ class WindowEstimator:
         )
 
 
-def _values(window: Window) -> Values:
-    """Return the poses of a window by their variables."""
-    return dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
-
-
 def _has_seen_since(window: Window, motion: RelativePose) -> bool:
-    """Return whether features connect a frame behind the one where a motion starts."""
-    start = window.slot(motion.variables[0].frame)
+    """Return whether features connect a frame after the one where a motion starts."""
+    start = window.slot(motion.prev_frame)
     return not bool(window.is_blind[start + 1 :].all())
 
 

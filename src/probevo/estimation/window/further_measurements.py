@@ -12,7 +12,7 @@ from probevo.estimation import gauss_newton
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
+from probevo.measurements.base import Measurement, VectorMeasurement
 from probevo.measurements.relative_pose import RelativePose
 
 
@@ -29,9 +29,8 @@ def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Wi
     """
     if not measurements:
         return window
-    poses = [pose_of(int(frame)) for frame in window.frames]
-    values = dict(zip(poses, window.T_cam_world, strict=True))
-    at_linear = dict(zip(poses, window.T_linear, strict=True))
+    values = window.values()
+    at_linear = dict(zip(values, window.T_linear, strict=True))
     information = window.prior.information.copy()
     vector = window.prior.vector.copy()
     x = window.offsets()
@@ -69,9 +68,8 @@ def tested_against(
     """
     if not measurements:
         return [], motion.T_curr_prev
-    T_prev_world = window.T_cam_world[window.slot(motion.variables[0].frame)]
-    values = dict(zip(map(pose_of, window.frames.tolist()), window.T_cam_world, strict=True))
-    values[motion.curr] = motion.T_curr_prev @ T_prev_world
+    T_prev_world = window.T_cam_world[window.slot(motion.prev_frame)]
+    values = {**window.values(), motion.curr: motion.T_curr_prev @ T_prev_world}
     weighed = [
         one.weighed(values, motion.covariance, of=motion.curr)
         if isinstance(one, VectorMeasurement) and motion.curr in one.variables

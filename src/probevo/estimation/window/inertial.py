@@ -16,7 +16,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.inertial_noise import (
-    Innovation,
+    InertialInnovation,
     estimated_noise_factor,
     median_excess,
 )
@@ -72,7 +72,7 @@ class Inertial:
     """The motion to the next frame; None before the states are known, or without samples."""
     states: InertialStates | None = None
     """None before the IMU has passed its test."""
-    innovations: tuple[Innovation, ...] = ()
+    innovations: tuple[InertialInnovation, ...] = ()
     """How far the last predictions that were tested were off."""
     was_gated: tuple[bool, ...] = ()
     """Which of these were beyond the gate."""
@@ -193,7 +193,7 @@ class Inertial:
         stamps_ns = np.array([self.stamps_ns[frame] for frame in frames.tolist()])
         return 1e-9 * np.diff(stamps_ns)
 
-    def tested(self, innovation: Innovation, *, is_gated: bool) -> Inertial:
+    def tested(self, innovation: InertialInnovation, *, is_gated: bool) -> Inertial:
         """Return the IMU with one more innovation, and the noise that the last of them show."""
         innovations = (*self.innovations[1 - NUM_TESTED :], innovation)
         noise_factor = self.noise_factor
@@ -236,11 +236,11 @@ class Inertial:
             return self
         return replace(self, states=moved(self.states, system.increment(increment)))
 
-    def with_covariance(self, system: InertialSystem | None, of_poses: FloatArray) -> Inertial:
+    def with_covariance(self, system: InertialSystem | None, pose_cov: FloatArray) -> Inertial:
         """Return the IMU with the covariance of its states, given that of poses and rig."""
         if self.states is None or system is None:
             return self
-        cov, cross_cov = system.covariances(of_poses)
+        cov, cross_cov = system.covariances(pose_cov)
         return replace(self, states=replace(self.states, cov=cov, cross_cov=cross_cov))
 
     def restarted(self) -> Inertial:

@@ -78,16 +78,17 @@ class InertialSystem(NamedTuple):
         hessian = self.hessian[:p, :p] - self.hessian[:p, p:] @ self.gain
         return 0.5 * (hessian + hessian.T), self.gradient[:p] - self.gain.T @ self.gradient[p:]
 
-    def increment(self, of_poses: FloatArray) -> FloatArray:
+    def increment(self, pose_increment: FloatArray) -> FloatArray:
         """Return the increment of the inertial states, [q], given that of poses and rig, [p]."""
-        of_states: FloatArray = self.own @ self.gradient[self.num_poses :] - self.gain @ of_poses
-        return of_states
+        own_gradient = self.gradient[self.num_poses :]
+        increment: FloatArray = self.own @ own_gradient - self.gain @ pose_increment
+        return increment
 
-    def covariances(self, of_poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def covariances(self, pose_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the covariance of the inertial states, [q, q], and their cross-covariance with
         poses and rig, [q, p], given the covariance of the latter, [p, p]."""
         # Block inverse: Σ_ip = −G Σ_pp, Σ_ii = H_ii⁻¹ + G Σ_pp Gᵀ with the gain G = H_ii⁻¹ H_ip.
-        cross_cov = -self.gain @ of_poses
+        cross_cov = -self.gain @ pose_cov
         return self.own - cross_cov @ self.gain.T, cross_cov
 
 

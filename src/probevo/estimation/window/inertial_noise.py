@@ -25,7 +25,7 @@ ACCURACY = 1e-3
 
 
 @dataclass(frozen=True)
-class Innovation:
+class InertialInnovation:
     """How far a predicted motion was off, along six axes in which both covariances are diagonal."""
 
     squared: FloatArray
@@ -40,7 +40,7 @@ class Innovation:
 
 def innovation_of(
     difference: FloatArray, cov_of_others: FloatArray, cov_of_samples: FloatArray
-) -> Innovation:
+) -> InertialInnovation:
     """Return how far a predicted motion was off; infinitely, where that cannot be computed.
 
     Args:
@@ -48,7 +48,7 @@ def innovation_of(
         cov_of_others: of the images and of the states that the prediction starts from, [6, 6].
         cov_of_samples: of the noise of the samples, by the data sheet, [6, 6].
     """
-    unknown = Innovation(squared=np.full(6, np.inf), noise=np.zeros(6))
+    unknown = InertialInnovation(squared=np.full(6, np.inf), noise=np.zeros(6))
     # V with Vᵀ A V = I and Vᵀ B V = diag(λ): νᵀ (A + k B)⁻¹ ν = Σ (Vᵀν)² / (1 + k λ).
     try:
         noise, axes = scipy.linalg.eigh(cov_of_samples, cov_of_others)
@@ -58,16 +58,16 @@ def innovation_of(
     squared = (axes.T @ difference) ** 2
     if not np.isfinite(squared).all():
         return unknown
-    return Innovation(squared, np.maximum(noise, 0.0))
+    return InertialInnovation(squared, np.maximum(noise, 0.0))
 
 
-def median_excess(innovations: Sequence[Innovation], noise_factor: float) -> float:
+def median_excess(innovations: Sequence[InertialInnovation], noise_factor: float) -> float:
     """Return by how much covariances with this noise factor are still too small in the median."""
     squared, noise = _stacked(innovations)
     return _median_excess(squared, noise, noise_factor)
 
 
-def estimated_noise_factor(innovations: Sequence[Innovation], *, largest: float) -> float:
+def estimated_noise_factor(innovations: Sequence[InertialInnovation], *, largest: float) -> float:
     """Return the noise factor at which the median of the distances is that of χ².
 
     The median leaves out what is gated.
@@ -89,7 +89,7 @@ def estimated_noise_factor(innovations: Sequence[Innovation], *, largest: float)
     return float(scipy.optimize.brentq(surplus, 1.0, largest, rtol=ACCURACY))
 
 
-def _stacked(innovations: Sequence[Innovation]) -> tuple[FloatArray, FloatArray]:
+def _stacked(innovations: Sequence[InertialInnovation]) -> tuple[FloatArray, FloatArray]:
     """Return squared differences and noise of T innovations, [T, 6] each."""
     squared = np.array([innovation.squared for innovation in innovations])
     noise = np.array([innovation.noise for innovation in innovations])

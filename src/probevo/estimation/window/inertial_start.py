@@ -27,6 +27,9 @@ GRAVITY_TOLERANCE_M_S2 = 0.3
 """By how much gravity may differ from its length beyond 3σ: scale errors of 2 %, and a little."""
 USUAL_FACTOR = 10.0
 """By how much the noise densities of a sensor on a vehicle may exceed those of its data sheet."""
+MIN_BIAS_SIGMA = 1e-6
+"""Smallest prior standard deviation of a bias, rad/s and m/s², where a calibration says zero: its
+information stays finite."""
 _PASSES = 3
 """Weights and the gyro's rotation depend on what is estimated, but little."""
 
@@ -96,15 +99,15 @@ def fit_inertial_states(
     Raises:
         numpy.linalg.LinAlgError: the covariance of the poses is indefinite, by rounding.
     """
-    # First guesses: at rest, without bias, gravity along the first camera's y axis. Velocities and
-    # gravity enter linearly, so that these need not be good.
     T_linear = window.T_linear[first:]
     covered = replace(window, T_cam_world=window.T_cam_world[first:], T_linear=T_linear)
     pose_cov = window.cov[POSE * first :, POSE * first :]
     count = len(T_linear)
     pairs = np.arange(count - 1)
     bias_sigma = bias_sigmas(calibration)
-    # Unknowns: velocities, one bias of each kind, gravity.
+    # Unknowns: velocities, one bias of each kind, gravity. First guesses: at rest, without bias,
+    # gravity along the first camera's y axis. Velocities and gravity enter linearly, so that these
+    # need not be good.
     size = 3 * count + 9
     velocity = np.zeros((count, 3))
     bias = np.zeros(6)
@@ -116,7 +119,7 @@ def fit_inertial_states(
     squared = np.inf
     for _ in range(_PASSES):
         # Stack the factors: residuals r, and their derivatives by the poses and by the unknowns.
-        states = _with_values(velocity, bias, gravity, bias_sigma)
+        states = at_start(velocity, bias, gravity, bias_sigma)
         residual, jacobian = linearized(covered, states, factors, pairs)
         rows = len(residual) * 9
         by_pose = np.zeros((rows, POSE * count + RIG))
@@ -150,7 +153,7 @@ def fit_inertial_states(
         # included.
         cov = scaled_inverse(white_design.T @ white_design + prior)
         values = np.concatenate([velocity.ravel(), bias, gravity])
-        step = -cov @ (white_design.T @ white_residual + prior @ _bias_only(values, of_bias))
+        step = -cov @ (white_design.T @ white_residual + prior @ values)
         remaining = white_residual + white_design @ step
         values = values + step
         squared = float(remaining @ remaining + values @ prior @ values)
@@ -161,7 +164,7 @@ def fit_inertial_states(
     along = gravity / max(length, 1e-9)
     of_all = np.vstack([np.tile(velocity[0], (first, 1)), velocity])
     return InertialFit(
-        states=_with_values(of_all, bias, gravity, bias_sigma),
+        states=at_start(of_all, bias, gravity, bias_sigma),
         squared=squared,
         dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
         gravity_m_s2=length,
@@ -172,23 +175,8 @@ def fit_inertial_states(
 def bias_sigmas(calibration: ImuCalibration) -> FloatArray:
     """Return the prior standard deviations of gyro and accelerometer bias, [6]."""
     sigmas = [calibration.gyro_bias_sigma_rad_s, calibration.accel_bias_sigma_m_s2]
-    floored: FloatArray = np.maximum(np.repeat(sigmas, 3), 1e-6)
+    floored: FloatArray = np.maximum(np.repeat(sigmas, 3), MIN_BIAS_SIGMA)
     return floored
-
-
-def _bias_only(values: FloatArray, of_bias: np.ndarray) -> FloatArray:
-    """Return the values that have a prior, and zero for the others."""
-    kept = np.zeros_like(values)
-    kept[of_bias] = values[of_bias]
-    return kept
-
-
-def _with_values(
-    velocity: FloatArray, bias: FloatArray, gravity: FloatArray, bias_sigma: FloatArray
-) -> InertialStates:
-    """Return states with gravity of any length, at which residuals are formed."""
-    states = at_start(velocity, bias, gravity, bias_sigma)
-    return replace(states, gravity_linear=gravity)
 
 
 def with_gravity_of_known_length(states: InertialStates) -> InertialStates:

@@ -15,7 +15,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.geometry import so3
-from probevo.sequences.imu_calibration import GRAVITY_M_S2
 
 GRAVITY = 2
 """Dimensions of the direction of gravity."""
@@ -84,7 +83,7 @@ def at_start(
     Args:
         velocity: first guesses, [K, 3], m/s.
         bias: the same of both biases, [6].
-        gravity: the same of gravity in the world, [3], m/s².
+        gravity: the same of gravity in the world, of any length, [3], m/s².
         bias_sigma: standard deviations of both biases about zero, [6].
     """
     count = len(velocity)
@@ -93,12 +92,12 @@ def at_start(
     # at GRAVITY + 3 and after.
     information = np.zeros((size, size))
     of_bias = GRAVITY + 3 + np.arange(6)
-    information[of_bias, of_bias] = 1.0 / np.maximum(bias_sigma, 1e-9) ** 2
+    information[of_bias, of_bias] = 1.0 / bias_sigma**2
     return InertialStates(
         velocity=velocity,
         velocity_linear=velocity,
         bias=np.tile(bias, (count, 1)),
-        gravity_linear=GRAVITY_M_S2 * gravity / np.linalg.norm(gravity),
+        gravity_linear=gravity,
         gravity_offset=np.zeros(GRAVITY),
         coupling=np.zeros((size, POSE * count + RIG)),
         information=information,

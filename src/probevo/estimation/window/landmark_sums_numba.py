@@ -23,7 +23,7 @@ from probevo.estimation.window.equations import (
     PIXELS,
     POSE,
     RIG,
-    Elimination,
+    LandmarkElimination,
     WindowEquations,
 )
 from probevo.estimation.window.landmark_track_numba import (
@@ -63,7 +63,7 @@ def add_common(
     problem: WindowProblem,
     track: LinearizedTrack,
     trust: Trust,
-    elimination: Elimination,
+    elimination: LandmarkElimination,
     equations: WindowEquations,
 ) -> None:
     """Fill the gradient of a landmark and its information with the rig; add to those of the rig."""
@@ -290,7 +290,7 @@ def eliminate(
     row: int,
     problem: WindowProblem,
     work: Workspace,
-    elimination: Elimination,
+    elimination: LandmarkElimination,
     equations: WindowEquations,
 ) -> None:
     """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.

@@ -15,7 +15,7 @@ k₁ r² of their distance from the principal point (the first radial term of Br
 taken at the predicted place: at the observed one, whose noise is also in the error, k₁ and b₁ would
 be biased (with white noise of 0.3 px, k₁ by eight times its scatter over drives).
 
-In each frame the right camera is turned against the left one by a small jitter ω_k, which moves
+In each frame the right camera is turned relative to the left one by a small jitter ω_k, which moves
 what it sees by (δu_r, δv_r) = O ω_k (``camera.rig_jitter``).
 
 Errors of successive observations of a landmark are alike: what the tracker got wrong in one frame,

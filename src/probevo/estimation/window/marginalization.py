@@ -119,15 +119,15 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
     # A pose of which the prior says nothing has only zeros, and is no matter of rounding.
     poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
     block = np.ix_(poses, poses)
-    of_poses = prior.information[block]
+    pose_information = prior.information[block]
     # With a unit diagonal, Cholesky fails by what rounding has lost, whatever the scale of a pose.
-    unit = np.sqrt(np.maximum(np.diagonal(of_poses), MIN_POSITION_INFORMATION))
+    unit = np.sqrt(np.maximum(np.diagonal(pose_information), MIN_POSITION_INFORMATION))
     try:
-        np.linalg.cholesky(of_poses / unit[:, None] / unit)
+        np.linalg.cholesky(pose_information / unit[:, None] / unit)
     except np.linalg.LinAlgError:
         # Eigenvalues of metres and radians can be compared only on one scale.
         metres = np.where(poses % POSE < POSE // 2, 1.0, LENGTH_M)
-        values, directions = np.linalg.eigh(of_poses / metres[:, None] / metres)
+        values, directions = np.linalg.eigh(pose_information / metres[:, None] / metres)
         directions = metres[:, None] * directions
         information = prior.information.copy()
         information[block] = (

@@ -16,7 +16,7 @@ from probevo.estimation.window.equations import (
     LANDMARK,
     PIXELS,
     RIG,
-    Elimination,
+    LandmarkElimination,
     RobustNoise,
     WindowEquations,
     WindowGeometry,
@@ -60,7 +60,7 @@ def accumulate(
     landmarks: WindowLandmarks,
     noise: RobustNoise,
     equations: WindowEquations,
-    elimination: Elimination,
+    elimination: LandmarkElimination,
 ) -> float:
     """Add the normal equations of all landmarks, each of them eliminated.
 
@@ -146,7 +146,7 @@ def static_weights(
 def move_landmarks(
     state: FloatArray,
     observations: WindowObservations,
-    elimination: Elimination,
+    elimination: LandmarkElimination,
     step: FloatArray,
     moved: FloatArray,
 ) -> None:

@@ -24,6 +24,7 @@ from probevo.estimation.window.equations import (
 )
 from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3
+from probevo.measurements.base import Values, pose_of
 
 RIGID_SIGMA_RAD = 1e-9
 """Standard deviation of the jitter of a rig that is said to be flawless, rad."""
@@ -135,6 +136,10 @@ class Window:
     def pose_slice(self, slot: int) -> slice:
         """Return where the pose at a slot of the window lies in the joint vector."""
         return slice(POSE * slot, POSE * (slot + 1))
+
+    def values(self) -> Values:
+        """Return the poses by their variables."""
+        return dict(zip(map(pose_of, self.frames.tolist()), self.T_cam_world, strict=True))
 
     def slot(self, frame: int) -> int:
         """Return the slot of a frame in the window.

@@ -79,7 +79,11 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
         for visit in range(num_leaves):
             # The nearest leaf is visited first, swapped with leaf 0: what it holds rules out more
             # of the others.
-            leaf = nearest if visit == 0 else 0 if visit == nearest else visit
+            leaf = visit
+            if visit == 0:
+                leaf = nearest
+            elif visit == nearest:
+                leaf = 0
             if bound[leaf] >= worst:
                 continue
             # Squared distances in the first coordinates. Written out, the sums stay in registers,

@@ -164,13 +164,13 @@ class KernelPosterior:
         """Find the K nearest samples within ρ; the kernel ends at the K-th."""
         # The tree reports a missing neighbour at distance ∞.
         ranks = np.arange(1, min(shape.neighbors, len(self.samples.errors)) + 1)
-        distance, near = map(
-            np.asarray, self.tree.query(points, ranks, distance_upper_bound=shape.reach)
-        )
+        nearest = self.tree.query(points, ranks, distance_upper_bound=shape.reach)
+        distance = np.asarray(nearest[0])
+        near = np.asarray(nearest[1])
         found = np.isfinite(distance)  # [n, K]; nearest first, so that a missing one is last
-        # The support is a little wider than the distance of the K-th, so that this one contributes,
-        # and all do where all K lie at the very point. Support of the kernel of each point, [n, 1]:
-        # ρ where fewer than K samples are within it.
+        # Support of the kernel of each point, [n, 1]: the distance of the K-th sample, or ρ if
+        # fewer are within it. It is a little wider, so that the K-th contributes, and all do where
+        # all K lie at the very point.
         radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
         support = radius * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)

@@ -18,8 +18,8 @@ _FACTS = {
         "The part of a disparity’s error that is the same in both frames of a step."
     ),
     "Rig": (
-        "Rotation of the right camera against the left one that is new in each frame, and moves all"
-        " features together."
+        "Rotation of the right camera relative to the left one that is new in each frame, and moves"
+        " all features together."
     ),
     "ν": (
         "Degrees of freedom of the Student-t: the fewer, the more outliers; with infinitely many it"
