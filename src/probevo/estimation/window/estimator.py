@@ -119,13 +119,13 @@ class WindowEstimator:
         if solved.corrected.rig is None or solved.rig is None:
             return after
         # The motion was solved from tracks that were corrected by the estimate before the step.
-        distortion = after.distortion.with_step(
+        effect = after.calibration_effect.with_step(
             solved.common_mode,
             used=solved.corrected.rig.image,
             errors=solved.rig.image,
             velocity_cov=solved.velocity_cov,
         )
-        return replace(after, distortion=distortion)
+        return replace(after, calibration_effect=effect)
 
     def _without_solve(
         self,

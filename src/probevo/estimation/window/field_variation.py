@@ -54,7 +54,7 @@ class FieldVariation:
         """Return that of the first frame, which is not moved."""
         return FieldVariation(np.zeros((1, POSE, POSE)), np.zeros((1, POSE, NUM_COEFFICIENTS)))
 
-    def subset(self, frames: BoolArray) -> FieldVariation:
+    def subset(self, frames: BoolArray | slice) -> FieldVariation:
         """Return that of some of the frames."""
         return FieldVariation(self.cov[frames], self.cross[frames])
 

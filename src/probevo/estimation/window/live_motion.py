@@ -60,7 +60,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     T_relative, relative_cov = after.relative(last, last - 1)
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     # What the step has shown of the lenses' distortion removes nothing from that pose.
-    cov_reduction = before.cov_given_distortion(-1) - after.cov_given_distortion(last - 1)
+    cov_reduction = before.cov_given_calibration(-1) - after.cov_given_calibration(last - 1)
     largest_variance = MAX_POSITION_SHARE * np.diagonal(relative_cov)[:3].max()
     is_far = np.diagonal(prev_before)[:3].max() > largest_variance
     if is_far or np.diagonal(prev_before)[3:].max() > MAX_ATTITUDE_SIGMA_RAD**2:

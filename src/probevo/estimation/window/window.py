@@ -14,7 +14,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.estimation.window.distortion_effect import DistortionEffect
+from probevo.estimation.window.calibration_effect import CalibrationEffect
 from probevo.estimation.window.equations import (
     JITTER,
     POSE,
@@ -84,8 +84,8 @@ class Window:
     """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
     cov_of_motions: FloatArray
     """The same for motions between the poses (``PoseCovariance.of_motions``)."""
-    distortion: DistortionEffect
-    """How the distortion field of the lenses, which the window does not estimate, moves its poses
+    calibration_effect: CalibrationEffect
+    """How errors of the calibration that the window does not estimate move its poses
     (Schmidt's consider term). ``cov`` is without it."""
     marginalized: tuple[SmoothedPose, ...] = ()
     """The poses that have left the window in the last step."""
@@ -126,7 +126,7 @@ class Window:
             ),
             cov=cov,
             cov_of_motions=cov,
-            distortion=DistortionEffect.none(),
+            calibration_effect=CalibrationEffect.none(),
         )
 
     def __len__(self) -> int:
@@ -213,7 +213,7 @@ class Window:
         jacobian = np.zeros((POSE, len(self.cov)))
         jacobian[:, self.pose_slice(slot)] += np.eye(POSE)
         jacobian[:, self.pose_slice(other)] -= se3.adjoint(T)
-        between = self.distortion.between(slot, other, se3.adjoint(T))
+        between = self.calibration_effect.between(slot, other, se3.adjoint(T))
         return T, jacobian @ self.cov_of_motions @ jacobian.T + between
 
     def pose(self, slot: int) -> SmoothedPose:
@@ -221,11 +221,11 @@ class Window:
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
-            cov=self.cov_given_distortion(slot) + self.distortion.of_pose(slot),
+            cov=self.cov_given_calibration(slot) + self.calibration_effect.of_pose(slot),
         )
 
-    def cov_given_distortion(self, slot: int) -> FloatArray:
-        """Return the covariance of a pose, [6, 6], for a distortion field that is known exactly."""
+    def cov_given_calibration(self, slot: int) -> FloatArray:
+        """Return the covariance of a pose, [6, 6], for a calibration that is known exactly."""
         at = self.pose_slice(slot % len(self))
         return self.cov[at, at].copy()  # a view would keep the whole window's alive
 
@@ -243,7 +243,7 @@ class Window:
             T_cam_world=self.T_cam_world[stays],
             T_linear=self.T_linear[stays],
             is_blind=self.is_blind[stays],
-            distortion=self.distortion.subset(stays),
+            calibration_effect=self.calibration_effect.subset(stays),
             jitter=self.jitter[stays],
             cov=self.cov[np.ix_(kept, kept)],
             cov_of_motions=self.cov_of_motions[np.ix_(kept, kept)],

@@ -8,7 +8,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
 from probevo.estimation.rig_update import CommonMode
-from probevo.estimation.window.distortion_effect import DistortionEffect
+from probevo.estimation.window.calibration_effect import CalibrationEffect
 from probevo.geometry import se3
 from worlds import FORWARD, image_errors
 
@@ -37,10 +37,10 @@ def moves(
 
 def walked(
     rng: np.random.Generator,
-) -> tuple[DistortionEffect, list[FloatArray], list[FloatArray], ImageErrors]:
+) -> tuple[CalibrationEffect, list[FloatArray], list[FloatArray], ImageErrors]:
     """Return the effect after some steps; the gain of each, what it was corrected by, and the
     newest estimate."""
-    effect = DistortionEffect.none()
+    effect = CalibrationEffect.none()
     gains = [0.01 * rng.normal(size=(6, NUM_COEFFICIENTS)) for _ in range(STEPS)]
     used = [0.1 * rng.normal(size=NUM_COEFFICIENTS) for _ in range(STEPS)]
     errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
@@ -89,7 +89,7 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
     errors = replace(errors, cov=1e-9 * np.eye(len(errors.mean)), with_focal=with_focal)
     adjoint = se3.adjoint(FORWARD)
     for second, turns in ((1.0, "alike"), (-1.0, "back")):
-        effect = DistortionEffect.none()
+        effect = CalibrationEffect.none()
         expected = np.zeros(6)
         for sign in (1.0, second):
             gain = sign * rng.normal(size=(6, NUM_COEFFICIENTS))
@@ -100,7 +100,8 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
             )
             moved = focal_gain + gain @ errors.distortion_shift_by_focal
             expected = adjoint @ expected + moved
-        claimed = effect.of_pose(2) - effect.sensitivity[2] @ effect.cov @ effect.sensitivity[2].T
+        S = effect.path.field[2]
+        claimed = effect.of_pose(2) - S @ errors.distortion_cov @ S.T
         expected *= errors.focal_rms
         np.testing.assert_allclose(claimed, np.outer(expected, expected), atol=1e-12, err_msg=turns)
 
@@ -119,7 +120,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
     readout_s = 0.02 + sigma_s * rng.normal(size=20_000)
     fields = np.outer(readout_s - 0.02, noticed.distortion_shift_by_readout)
     adjoint = se3.adjoint(FORWARD)
-    effect = DistortionEffect.none()
+    effect = CalibrationEffect.none()
     error = np.zeros((len(readout_s), 6))
     for k in range(STEPS):
         used = known if k < 3 else noticed
@@ -138,7 +139,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
         sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
     )
     # Until it is noticed, the shutter is taken for a global one.
-    effect = DistortionEffect.none().carried_to_new(-1, FORWARD)
+    effect = CalibrationEffect.none().carried_to_new(-1, FORWARD)
     effect = effect.with_step(
         moves(gain, readout_gain=readout_gain), used=known, errors=known, velocity_cov=NO_COV
     )
@@ -149,7 +150,7 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
     rng = np.random.default_rng(2)
     errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     errors = replace(errors, cov=1e-18 * np.eye(len(errors.mean)))
-    effect = DistortionEffect.none()
+    effect = CalibrationEffect.none()
     for _ in range(STEPS):
         effect = effect.carried_to_new(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
@@ -171,7 +172,7 @@ def test_what_is_unknown_of_the_velocity_moves_the_pose_of_its_frame_only() -> N
     errors = of_lenses(np.zeros(NUM_COEFFICIENTS))
     root = rng.normal(size=(6, 6))
     cov = root @ root.T
-    effect = DistortionEffect.none()
+    effect = CalibrationEffect.none()
     for _ in range(2):
         effect = effect.carried_to_new(-1, np.eye(4))
         effect = effect.with_step(CommonMode.none(), used=errors, errors=errors, velocity_cov=cov)
