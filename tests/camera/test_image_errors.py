@@ -14,6 +14,7 @@ from probevo.camera.image_errors import (
     NUM_ERRORS,
     ImageEquations,
     ImageErrors,
+    ScalarEquations,
 )
 from probevo.camera.rolling_shutter import KNOWN_SIGMA_S, READOUT_SIGMA_S
 
@@ -21,17 +22,12 @@ from probevo.camera.rolling_shutter import KNOWN_SIGMA_S, READOUT_SIGMA_S
 def equations(information: FloatArray, gradient: FloatArray) -> ImageEquations:
     """Of a step that shows nothing of the radial error of the rows, the focal length and the
     readout time."""
-    none = np.zeros(NUM_ERRORS)
     return ImageEquations(
         information,
         gradient,
-        with_radial=none,
-        with_focal=none,
-        focal_information=0.0,
-        focal_gradient=0.0,
-        with_readout=none,
-        readout_information=0.0,
-        readout_gradient=0.0,
+        with_radial=np.zeros(NUM_ERRORS),
+        focal=ScalarEquations.none(),
+        readout=ScalarEquations.none(),
     )
 
 
@@ -118,9 +114,7 @@ def measured_together(
         measured = truth + np.linalg.solve(information, jacobian.T @ rng.normal(size=len(jacobian)))
         gradient = information @ (measured - np.append(errors.mean, errors.readout_s))
         of_other: dict[str, Any] = {
-            f"with_{name}": information[:-1, -1],
-            f"{name}_information": information[-1, -1],
-            f"{name}_gradient": gradient[-1],
+            name: ScalarEquations(information[:-1, -1], information[-1, -1], gradient[-1])
         }
         step = equations(information[:-1, :-1], gradient[:-1])
         errors = errors.with_step(step._replace(**of_other))

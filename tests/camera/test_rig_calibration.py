@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probevo.camera.image_errors import NUM_ERRORS, ImageEquations
+from probevo.camera.image_errors import NUM_ERRORS, ImageEquations, ScalarEquations
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
@@ -137,12 +137,8 @@ def test_another_radial_error_changes_the_image_errors_with_it() -> None:
             information,
             information @ truth,
             with_radial,
-            with_focal=np.zeros(NUM_ERRORS),
-            focal_information=0.0,
-            focal_gradient=0.0,
-            with_readout=np.zeros(NUM_ERRORS),
-            readout_information=0.0,
-            readout_gradient=0.0,
+            focal=ScalarEquations.none(),
+            readout=ScalarEquations.none(),
         )
     )
     after = before.with_rows(pixels, CAMERA)
@@ -161,16 +157,12 @@ def test_neighbouring_features_count_for_less_in_the_image_errors() -> None:
             information,
             np.zeros(NUM_ERRORS),
             np.zeros(NUM_ERRORS),
-            with_focal=np.zeros(NUM_ERRORS),
-            focal_information=200.0,
-            focal_gradient=0.0,
-            with_readout=np.zeros(NUM_ERRORS),
-            readout_information=0.0,
-            readout_gradient=0.0,
+            focal=ScalarEquations(np.zeros(NUM_ERRORS), 200.0, 0.0),
+            readout=ScalarEquations.none(),
         )
     )
     np.testing.assert_allclose(rig.image.seen, information / CORRELATED_FEATURES, rtol=1e-12)
-    assert rig.image.focal_seen == pytest.approx(200.0 / CORRELATED_FEATURES)
+    assert rig.image.focal_seen.information == pytest.approx(200.0 / CORRELATED_FEATURES)
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:

@@ -52,6 +52,46 @@ def _prior_variance(distortion_sigma_px: float) -> FloatArray:
     return sigma_px**2
 
 
+class ScalarEquations(NamedTuple):
+    """What residuals show of one more number z beside the errors c: of the error ε of log f, or of
+    the readout time."""
+
+    coupling: FloatArray
+    """Off-diagonal information between c and z, [NUM_ERRORS]."""
+    information: float
+    """About z, for a given c."""
+    gradient: float
+    """By z; of a sum over steps, the moment of z at c = 0 and z = 0."""
+
+    @staticmethod
+    def none() -> ScalarEquations:
+        """Return that nothing is shown."""
+        return ScalarEquations(np.zeros(NUM_ERRORS), 0.0, 0.0)
+
+    def scaled(self, factor: float) -> ScalarEquations:
+        """Return the equations of so many times the information."""
+        return ScalarEquations(
+            coupling=factor * self.coupling,
+            information=factor * self.information,
+            gradient=factor * self.gradient,
+        )
+
+    def with_step(self, step: ScalarEquations, mean: FloatArray, value: float) -> ScalarEquations:
+        """Return the sum with that of a step.
+
+        Args:
+            step: its gradient is at the following values.
+            mean: c, [NUM_ERRORS], px.
+            value: z.
+        """
+        moment = self.gradient + step.gradient + step.information * value
+        return ScalarEquations(
+            coupling=self.coupling + step.coupling,
+            information=self.information + step.information,
+            gradient=moment + float(step.coupling @ mean),
+        )
+
+
 class ImageEquations(NamedTuple):
     """Normal equations of a step about the errors c, with motion and jitter eliminated."""
 
@@ -61,18 +101,10 @@ class ImageEquations(NamedTuple):
     """By c at the estimate, by which the tracks were corrected, [NUM_ERRORS], px⁻¹."""
     with_radial: FloatArray
     """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
-    with_focal: FloatArray
-    """Off-diagonal information between c and the error ε of log f, [NUM_ERRORS], px⁻¹."""
-    focal_information: float
-    """About ε."""
-    focal_gradient: float
-    """By ε, at ε = 0 and the estimate of c."""
-    with_readout: FloatArray
-    """Off-diagonal information between c and the readout time, [NUM_ERRORS], 1/(px s)."""
-    readout_information: float
-    """About the readout time, s⁻²."""
-    readout_gradient: float
-    """By the readout time, at that by which the tracks were corrected, s⁻¹."""
+    focal: ScalarEquations
+    """Of the error ε of log f; the gradient is at ε = 0 and the estimate of c."""
+    readout: ScalarEquations
+    """Of the readout time, s; the gradient is at that by which the tracks were corrected."""
 
     def scaled(self, factor: float) -> ImageEquations:
         """Return the equations of so many times the information."""
@@ -80,12 +112,8 @@ class ImageEquations(NamedTuple):
             information=factor * self.information,
             gradient=factor * self.gradient,
             with_radial=factor * self.with_radial,
-            with_focal=factor * self.with_focal,
-            focal_information=factor * self.focal_information,
-            focal_gradient=factor * self.focal_gradient,
-            with_readout=factor * self.with_readout,
-            readout_information=factor * self.readout_information,
-            readout_gradient=factor * self.readout_gradient,
+            focal=self.focal.scaled(factor),
+            readout=self.readout.scaled(factor),
         )
 
 
@@ -106,19 +134,10 @@ class ImageErrors:
     """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
     distortion_sigma_px: float
     """τ."""
-    with_focal: FloatArray
-    """Off-diagonal information between c and the error ε of log f, [NUM_ERRORS], px⁻¹."""
-    focal_seen: float = 0.0
-    """Information about ε, for a given c."""
-    focal_moment: float = 0.0
-    """What is seen of ε and c together, as the moment of ε at c = 0."""
-    with_readout: FloatArray = field(default_factory=lambda: np.zeros(NUM_ERRORS))
-    """Off-diagonal information between c and the readout time, [NUM_ERRORS], 1/(px s)."""
-    readout_seen: float = 0.0
-    """Information about the readout time, for a given c, s⁻²."""
-    readout_moment: float = 0.0
-    """What is seen of the readout time and c together, as the moment of the former at c = 0,
-    s⁻¹."""
+    focal_seen: ScalarEquations = field(default_factory=ScalarEquations.none)
+    """What is seen of the error ε of log f."""
+    readout_seen: ScalarEquations = field(default_factory=ScalarEquations.none)
+    """What is seen of the readout time, s."""
     readout_s: float = 0.0
     """The readout time that is corrected; 0 until it is noticeable."""
     readout_prior: ReadoutTime = field(default_factory=ReadoutTime.prior)
@@ -142,7 +161,6 @@ class ImageErrors:
             moment=np.zeros(NUM_ERRORS),
             with_radial=np.zeros(NUM_ERRORS),
             distortion_sigma_px=distortion_sigma_px,
-            with_focal=np.zeros(NUM_ERRORS),
             readout_s=readout.noticeable_s,
             readout_prior=readout,
         )
@@ -150,7 +168,7 @@ class ImageErrors:
     @property
     def shift_by_focal(self) -> FloatArray:
         """∂c/∂ε, [NUM_ERRORS], px: where the estimate would be with another focal length."""
-        shift: FloatArray = -self.cov @ self.with_focal
+        shift: FloatArray = -self.cov @ self.focal_seen.coupling
         return shift
 
     @property
@@ -167,14 +185,15 @@ class ImageErrors:
         nothing then.
         """
         # The joint posterior of (c, ε), of which c is eliminated.
-        information = self.focal_seen + FOCAL_SIGMA**-2.0 + self.with_focal @ self.shift_by_focal
-        mean = (self.focal_moment - self.with_focal @ self.mean) / information
+        seen = self.focal_seen
+        information = seen.information + FOCAL_SIGMA**-2.0 + seen.coupling @ self.shift_by_focal
+        mean = (seen.gradient - seen.coupling @ self.mean) / information
         return min(math.sqrt(mean**2 + 1.0 / information), FOCAL_SIGMA)
 
     @property
     def shift_by_readout(self) -> FloatArray:
         """∂c/∂(readout time), [NUM_ERRORS], px/s."""
-        shift: FloatArray = -self.cov @ self.with_readout
+        shift: FloatArray = -self.cov @ self.readout_seen.coupling
         return shift
 
     @property
@@ -191,9 +210,10 @@ class ImageErrors:
     def readout(self) -> ReadoutTime:
         """The readout time by what is seen of it, whether or not it is corrected."""
         # The joint posterior of c and the readout time, of which c is eliminated.
+        seen = self.readout_seen
         of_prior = self.readout_prior.sigma_s**-2.0
-        information = of_prior + self.readout_seen + self.with_readout @ self.shift_by_readout
-        moment = of_prior * self.readout_prior.mean_s + self.readout_moment
+        information = of_prior + seen.information + seen.coupling @ self.shift_by_readout
+        moment = of_prior * self.readout_prior.mean_s + seen.gradient
         moment += float(self.shift_by_readout @ self.moment)
         return ReadoutTime(
             mean_s=float(moment / information), sigma_s=float(1.0 / math.sqrt(information))
@@ -224,11 +244,11 @@ class ImageErrors:
         iteration."""
         seen = self.seen + step.information
         moment = self.moment + step.information @ self.mean + step.gradient
-        moment += step.with_readout * self.readout_s
+        moment += step.readout.coupling * self.readout_s
         prior = np.diag(1.0 / _prior_variance(self.distortion_sigma_px))
         cov = np.linalg.inv(seen + prior).astype(np.float64, copy=False)
-        with_readout = self.with_readout + step.with_readout
-        mean = cov @ (moment - with_readout * self.readout_s)
+        readout_seen = self.readout_seen.with_step(step.readout, self.mean, self.readout_s)
+        mean = cov @ (moment - readout_seen.coupling * self.readout_s)
         mean_square = float(np.mean(mean[_DISTORTION] ** 2 + np.diagonal(cov)[_DISTORTION]))
         updated = ImageErrors(
             mean=mean,
@@ -237,19 +257,8 @@ class ImageErrors:
             moment=moment,
             with_radial=self.with_radial + step.with_radial,
             distortion_sigma_px=min(math.sqrt(mean_square), MAX_SIGMA_PX),
-            with_focal=self.with_focal + step.with_focal,
-            focal_seen=self.focal_seen + step.focal_information,
-            focal_moment=(
-                self.focal_moment + step.focal_gradient + float(step.with_focal @ self.mean)
-            ),
-            with_readout=with_readout,
-            readout_seen=self.readout_seen + step.readout_information,
-            readout_moment=(
-                self.readout_moment
-                + step.readout_gradient
-                + step.readout_information * self.readout_s
-                + float(step.with_readout @ self.mean)
-            ),
+            focal_seen=self.focal_seen.with_step(step.focal, self.mean, value=0.0),
+            readout_seen=readout_seen,
             readout_s=self.readout_s,
             readout_prior=self.readout_prior,
         )
@@ -261,11 +270,11 @@ class ImageErrors:
         readout_s = self.readout.noticeable_s
         if readout_s == self.readout_s:
             return self
-        mean = self.cov @ (self.moment - self.with_readout * readout_s)
+        mean = self.cov @ (self.moment - self.readout_seen.coupling * readout_s)
         return replace(self, mean=mean, readout_s=readout_s)
 
     def with_radial_moved(self, change_px: float) -> ImageErrors:
         """Return the estimate given another a₆: it moves along the regression of c on a₆."""
         moment = self.moment - self.with_radial * change_px
-        mean = self.cov @ (moment - self.with_readout * self.readout_s)
+        mean = self.cov @ (moment - self.readout_seen.coupling * self.readout_s)
         return replace(self, mean=mean, moment=moment)

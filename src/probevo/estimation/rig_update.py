@@ -17,7 +17,7 @@ from probevo.camera.distortion_field import (
 )
 from probevo.camera.distortion_field_numba import FieldModes, field_sensitivities, predict_pixels
 from probevo.camera.focal_length_numba import focal_sensitivity
-from probevo.camera.image_errors import ImageEquations
+from probevo.camera.image_errors import ImageEquations, ScalarEquations
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rolling_shutter import Twists, readout_sensitivity
@@ -147,12 +147,16 @@ def _updated_rig(
                 information=information[_IMAGE, _IMAGE],
                 gradient=gradient[_IMAGE],
                 with_radial=information[_IMAGE, _RADIAL],
-                with_focal=information[_IMAGE, _EPSILON],
-                focal_information=information[_EPSILON, _EPSILON],
-                focal_gradient=gradient[_EPSILON],
-                with_readout=information[_IMAGE, _READOUT],
-                readout_information=information[_READOUT, _READOUT],
-                readout_gradient=gradient[_READOUT],
+                focal=ScalarEquations(
+                    coupling=information[_IMAGE, _EPSILON],
+                    information=information[_EPSILON, _EPSILON],
+                    gradient=gradient[_EPSILON],
+                ),
+                readout=ScalarEquations(
+                    coupling=information[_IMAGE, _READOUT],
+                    information=information[_READOUT, _READOUT],
+                    gradient=gradient[_READOUT],
+                ),
             )
         )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its

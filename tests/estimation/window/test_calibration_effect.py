@@ -6,7 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
-from probevo.camera.image_errors import ImageErrors
+from probevo.camera.image_errors import ImageErrors, ScalarEquations
 from probevo.estimation.rig_update import CommonMode
 from probevo.estimation.window.calibration_effect import CalibrationEffect
 from probevo.geometry import se3
@@ -86,7 +86,8 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
     rng = np.random.default_rng(4)
     errors = of_lenses(np.zeros(NUM_COEFFICIENTS))
     with_focal = rng.normal(size=len(errors.mean))
-    errors = replace(errors, cov=1e-9 * np.eye(len(errors.mean)), with_focal=with_focal)
+    seen = ScalarEquations(with_focal, 0.0, 0.0)
+    errors = replace(errors, cov=1e-9 * np.eye(len(errors.mean)), focal_seen=seen)
     adjoint = se3.adjoint(FORWARD)
     for second, turns in ((1.0, "alike"), (-1.0, "back")):
         effect = CalibrationEffect.none()
@@ -113,8 +114,10 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
     known = of_lenses(np.zeros(NUM_COEFFICIENTS))
     known = replace(known, cov=1e-12 * np.eye(len(known.mean)))
     with_readout = 1e11 * rng.normal(size=len(known.mean))
-    noticed = replace(known, readout_seen=1e13, with_readout=with_readout, readout_s=0.02)
-    noticed = replace(noticed, readout_seen=1e6 - with_readout @ noticed.shift_by_readout)
+    seen = ScalarEquations(with_readout, 1e13, 0.0)
+    noticed = replace(known, readout_seen=seen, readout_s=0.02)
+    seen = seen._replace(information=1e6 - with_readout @ noticed.shift_by_readout)
+    noticed = replace(noticed, readout_seen=seen)
     sigma_s = noticed.readout_sigma_s
     assert 5e-4 < sigma_s < 2e-3
     readout_s = 0.02 + sigma_s * rng.normal(size=20_000)
