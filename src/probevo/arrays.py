@@ -20,6 +20,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 """Grayscale image, [height, width], uint8."""
+SingleArray = NDArray[np.float32]
 AnyArray = NDArray[Any]
 
 StructOfArrays = TypeVar("StructOfArrays", bound="DataclassInstance")

@@ -10,7 +10,6 @@ from probevo.camera.rolling_shutter import (
     MIN_RATIO,
     NOTICEABLE_S,
     ReadoutTime,
-    image_height,
     without_readout,
 )
 from probevo.geometry import se3
@@ -30,7 +29,7 @@ def rolling(
     rate = np.zeros(6) if acceleration is None else acceleration
     pixels = CAMERA.project(points)
     for _ in range(50):
-        row_time_s = readout_s * (pixels[:, 1] / (image_height(CAMERA) - 1.0) - 0.5)
+        row_time_s = readout_s * (pixels[:, 1] / (CAMERA.extent_px[1] - 1.0) - 0.5)
         moved = [
             se3.transform(se3.exp(time_s * TWIST_S + 0.5 * time_s**2 * rate), point[None])[0]
             for time_s, point in zip(row_time_s, points, strict=True)
@@ -76,16 +75,16 @@ def test_a_global_shutter_and_a_camera_at_rest_leave_everything_as_it_is() -> No
 def test_a_point_that_would_be_behind_the_camera_stays() -> None:
     """5 cm in front of the camera, in the last row, exposed 15 ms late: 18 cm driven."""
     near = CAMERA.project(np.array([[0.0, 0.0, 0.05]]))
-    near[:, [1, 3]] = image_height(CAMERA) - 1.0
+    near[:, [1, 3]] = CAMERA.extent_px[1] - 1.0
     backwards = -TWIST_S
     found = without_readout(near, 0.03, backwards, CAMERA)
     np.testing.assert_array_equal(found, near)
 
 
 def test_without_a_size_the_principal_point_is_in_the_middle() -> None:
-    assert image_height(replace(CAMERA, size_px=None)) == 2.0 * CAMERA.cv_px + 1.0
+    assert replace(CAMERA, size_px=None).extent_px[1] == 2.0 * CAMERA.cv_px + 1.0
     sized = replace(CAMERA, size_px=(640, 480))
-    assert image_height(sized) == 480.0
+    assert sized.extent_px[1] == 480.0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -50,14 +50,9 @@ NUM_COEFFICIENTS = 2 * len(COMMON_MODES) + len(DISPARITY_MODES)
 
 
 def image_plane(camera: StereoCamera) -> ImagePlane:
-    """Return the extent of a camera's images; where only features are known, the principal point
-    is in the middle."""
-    width_px = 2.0 * camera.cu_px
-    height_px = 2.0 * camera.cv_px
-    if camera.size_px is not None:
-        width_px = camera.size_px[0] - 1.0
-        height_px = camera.size_px[1] - 1.0
-    return ImagePlane(width=max(width_px, 1.0), height=max(height_px, 1.0))
+    """Return the extent of a camera's images, from the first pixel to the last."""
+    width_px, height_px = camera.extent_px
+    return ImagePlane(width=max(width_px - 1.0, 1.0), height=max(height_px - 1.0, 1.0))
 
 
 def modes_at(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

@@ -119,8 +119,7 @@ class RigCalibration:
 
     def row_errors(self, camera: StereoCamera) -> RowErrors:
         """Return how far the rows are off, over the image of a camera."""
-        # Of a camera without a size, the principal point is taken for the middle of the image.
-        width, height = camera.size_px or (2.0 * camera.cu_px + 1.0, 2.0 * camera.cv_px + 1.0)
+        width, height = camera.extent_px
         u, v = np.meshgrid(
             np.linspace(0.0, width - 1.0, PLACES), np.linspace(0.0, height - 1.0, PLACES)
         )

@@ -112,7 +112,7 @@ def without_readout(
             twist,
             np.zeros(6) if acceleration is None else acceleration,
             camera=Intrinsics.of(camera),
-            height=image_height(camera),
+            height=camera.extent_px[1],
             readout_s=readout_s,
         )
     return corrected
@@ -141,7 +141,7 @@ def readout_sensitivity(
     _fill_sensitivity(
         T,
         Intrinsics.of(camera),
-        image_height(camera),
+        camera.extent_px[1],
         refined=refined,
         by_row=_ByRow(
             prev=(adjoint @ twists.prev)[:, None],
@@ -176,7 +176,7 @@ def change_sensitivity(
     _fill_sensitivity(
         T,
         Intrinsics.of(camera),
-        image_height(camera),
+        camera.extent_px[1],
         refined=refined,
         by_row=_ByRow(
             prev=-half * adjoint,
@@ -187,12 +187,6 @@ def change_sensitivity(
         sensitivity=sensitivity,
     )
     return sensitivity
-
-
-def image_height(camera: StereoCamera) -> float:
-    """Return the number of rows of an image, with its middle at the principal point where a camera
-    has no size."""
-    return float(camera.size_px[1]) if camera.size_px else 2.0 * camera.cv_px + 1.0
 
 
 class _ByRow(NamedTuple):

@@ -14,6 +14,16 @@ from probevo.arrays import FloatArray
 from probevo.camera.image_scale import ImageScale
 from probevo.errors import InputError, brief
 
+MAX_READOUT_S = 1.0
+"""Longest time from the first row of an image to the last one."""
+MAX_M = 1e9
+"""Largest baseline."""
+MAX_PX = 1e9
+"""Largest focal length and coordinate of a principal point; much larger ones would overflow."""
+MAX_FOCAL_LENGTHS = 100.0
+"""Largest distance of the principal point from the first pixel, which is so seen at 89.4° from the
+optical axis; rectified images of the widest lenses reach a tenth of it."""
+
 
 @dataclass(frozen=True)
 class StereoCamera:
@@ -39,6 +49,14 @@ class StereoCamera:
         """Take a size that is a list, as YAML has it, for the tuple that it is compared with."""
         if isinstance(self.size_px, list | np.ndarray):
             object.__setattr__(self, "size_px", tuple(int(side) for side in self.size_px))
+
+    @property
+    def extent_px(self) -> tuple[float, float]:
+        """(width, height) of the images; of a camera without a size, the principal point is taken
+        for their middle."""
+        if self.size_px is None:
+            return 2.0 * self.cu_px + 1.0, 2.0 * self.cv_px + 1.0
+        return float(self.size_px[0]), float(self.size_px[1])
 
     @staticmethod
     def centered(focal_px: float, baseline_m: float, size_px: tuple[int, int]) -> StereoCamera:
@@ -164,8 +182,8 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         where: that file or option, for the message.
 
     Raises:
-        InputError: the baseline is not finite and positive, the readout time is none that a camera
-            has, or as ``check_intrinsics`` raises.
+        InputError: the baseline is not finite and positive, the readout time is impossibly long, or
+            as ``check_intrinsics`` raises.
     """
     check_intrinsics(
         fu_px=camera.fu_px,
@@ -196,18 +214,6 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
             f"readout_s is {brief(camera.readout_s)} s.",
             f"An image takes at most {MAX_READOUT_S:g} s; Kalibr's line_delay is in seconds a row.",
         )
-
-
-MAX_READOUT_S = 1.0
-"""Longest time from the first row of an image to the last one."""
-MAX_M = 1e9
-"""Largest baseline."""
-MAX_PX = 1e9
-"""Largest focal length and coordinate of a principal point; much larger ones would overflow."""
-
-MAX_FOCAL_LENGTHS = 100.0
-"""Largest distance of the principal point from the first pixel, which is so seen at 89.4° from the
-optical axis; rectified images of the widest lenses reach a tenth of it."""
 
 
 def check_intrinsics(

@@ -8,7 +8,6 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.measurements.robust_loss import MIN_VARIANCE_DOF
 from probevo.noise import StereoNoise
 
 
@@ -62,9 +61,7 @@ def triangulated(
     ahead = pixels[:, 0] > pixels[:, 2]
     pixels = pixels[ahead]
     scale = np.broadcast_to(noise.scale, (len(ahead), 4, 4))[ahead]
-    dof = np.broadcast_to(noise.dof, (len(ahead),))[ahead]
-    # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
-    factor = 1.0 / (1.0 - 2.0 / np.maximum(dof, MIN_VARIANCE_DOF))
+    factor = np.broadcast_to(noise.covariance_factor, (len(ahead),))[ahead]
     share = 0.5 if noise.refers_to == "residual" else 1.0
     cov_px2 = share * factor[:, None, None] * scale
     # The error of the disparity that all observations of a point have in common moves u_r.

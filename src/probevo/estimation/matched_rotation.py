@@ -13,6 +13,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
+from probevo.geometry import so3
 
 NUM_FEATURES = 500
 """Features per image."""
@@ -61,10 +62,7 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
     agreeing = _best_sample(prev_rays, curr_rays)
     if int(agreeing.sum()) < MIN_AGREEING:
         return None
-    rotation: FloatArray = _rotation_between(prev_rays[agreeing][None], curr_rays[agreeing][None])[
-        0
-    ]
-    return rotation
+    return so3.most_aligned(curr_rays[agreeing].T @ prev_rays[agreeing])
 
 
 def _reduced(image: Image, factor: int) -> Image:
@@ -79,7 +77,7 @@ def _best_sample(prev_rays: FloatArray, curr_rays: FloatArray) -> BoolArray:
     """Return which of N matches agree with the rotation of the best pair of them, [N]."""
     rng = np.random.default_rng(0)
     pairs = rng.integers(len(prev_rays), size=(NUM_SAMPLES, 2))
-    rotations = _rotation_between(prev_rays[pairs], curr_rays[pairs])
+    rotations = so3.most_aligned(curr_rays[pairs].mT @ prev_rays[pairs])
     # c · R p = Σ c_i p_j R_ij for each of S rotations and N pairs of rays (p, c): one product of
     # matrices, [S, 9] by [9, N].
     outer_products = curr_rays[:, :, None] * prev_rays[:, None, :]
@@ -87,14 +85,3 @@ def _best_sample(prev_rays: FloatArray, curr_rays: FloatArray) -> BoolArray:
     near = cosines > np.cos(NEAR_RAD)
     best: BoolArray = near[int(near.sum(axis=1).argmax())]
     return best
-
-
-def _rotation_between(prev_rays: FloatArray, curr_rays: FloatArray) -> FloatArray:
-    """Return the rotations that bring S sets of n rays nearest to others, [S, n, 3]: [S, 3, 3].
-
-    Wahba's problem, by singular values (Markley, 1988).
-    """
-    left, _, right = np.linalg.svd(curr_rays.mT @ prev_rays)
-    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
-    rotations: FloatArray = left @ right
-    return rotations

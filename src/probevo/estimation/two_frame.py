@@ -27,7 +27,7 @@ from probevo.estimation.feature_weights import INLIER_FROM, feature_weights, num
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.measurements.base import MOTION, Measurement, PosePair, Variable
 from probevo.measurements.point_priors import DisparityPrior
-from probevo.measurements.robust_loss import MIN_VARIANCE_DOF, RobustLoss
+from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -311,9 +311,7 @@ def _aligned_points(
             " residual.",
             "Take reprojection, or another noise model.",
         )
-    # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
-    dof = np.maximum(noise.dof, MIN_VARIANCE_DOF)
-    covariance_per_scale = 1.0 / (1.0 - 2.0 / dof)[:, None, None]
+    covariance_per_scale = noise.covariance_factor[:, None, None]
     prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
     aligned = solve_alignment(
         tracks.prev_px,

@@ -159,7 +159,7 @@ class _Problem:
                     lengths = [np.median(np.linalg.norm(each, axis=1)) for each in (image, gyro)]
                     start[SCALE] = sign * lengths[0] / max(lengths[1], _SAME_RAD) - 1.0
                 if with_mounting:
-                    start[MOUNTING] = so3.log(_kabsch(gyro, image))
+                    start[MOUNTING] = so3.log(so3.most_aligned(image.T @ gyro))
                 turned = (1.0 + start[SCALE]) * gyro @ so3.exp(start[MOUNTING]).T
                 fits.append((float(np.median(np.linalg.norm(image - turned, axis=1))), start))
             starts.append(min(fits, key=lambda fit: fit[0])[1])
@@ -243,11 +243,3 @@ def _covered(rotation_rad: FloatArray) -> np.ndarray:
 def _without_median_rate(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
     """Subtract the median rate, and with it the bias, from rotations, [K, 3]."""
     return np.asarray(rotation_rad - duration_s * np.median(rotation_rad / duration_s, axis=0))
-
-
-def _kabsch(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the least-squares rotation from vectors, [K, 3], to others (Kabsch)."""
-    # Σ target sourceᵀ = U S Vᵀ, with the last axis reversed where U Vᵀ is a reflection.
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    U[:, 2] *= np.linalg.det(U @ Vt)
-    return np.asarray(U @ Vt)

@@ -74,13 +74,9 @@ def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     It minimises the sum of squared distances. Points on a line or in one place leave the rotation
     about them open; one of the minimisers is returned.
     """
-    # The rotation maximises tr(C Σ aᵢ bᵢᵀ) over centred points; with Σ bᵢ aᵢᵀ = U S Vᵀ it is U
-    # diag(1, 1, ±1) Vᵀ.
     center_a = points_a.mean(axis=0)
     center_b = points_b.mean(axis=0)
-    U, _, Vt = np.linalg.svd((points_b - center_b).mT @ (points_a - center_a))
-    U[:, 2] *= np.linalg.det(U @ Vt)  # a rotation, never a reflection
-    C_b_a = U @ Vt
+    C_b_a = so3.most_aligned((points_b - center_b).mT @ (points_a - center_a))
     return se3.from_parts(C_b_a, center_b - C_b_a @ center_a)
 
 

@@ -58,6 +58,18 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
     return jacobian
 
 
+def most_aligned(outer_products: FloatArray) -> FloatArray:
+    """Return the rotations C, [..., 3, 3], that maximise Σ bᵢᵀ C aᵢ, given Σ bᵢ aᵢᵀ, [..., 3, 3].
+
+    Wahba's problem, by singular values (Kabsch 1976; Markley 1988; Umeyama 1991).
+    """
+    # Σ bᵢ aᵢᵀ = U S Vᵀ, with the last axis reversed where U Vᵀ is a reflection.
+    U, _, Vt = np.linalg.svd(outer_products)
+    U[..., :, 2] *= np.linalg.det(U @ Vt)[..., None]
+    C: FloatArray = U @ Vt
+    return C
+
+
 def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
     """Return the rotations nearest to the matrices C, [..., 3, 3].
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.geometry import so3
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -90,9 +90,16 @@ def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray
     is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
     # Count from the start of the interval: stamps since 1970 are not exact as floats.
     knots_ns = np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
-    stamps_ns = imu.stamps_ns - start_ns
-    rates = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in imu.gyro_rad_s.T], axis=1)
-    return 1e-9 * np.diff(knots_ns), 0.5 * (rates[:-1] + rates[1:])
+    rates = means_between(knots_ns, imu.stamps_ns - start_ns, imu.gyro_rad_s)
+    return 1e-9 * np.diff(knots_ns), rates
+
+
+def means_between(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> FloatArray:
+    """Return the mean of values [J, 3] between successive knots, [K − 1, 3], interpolated
+    linearly."""
+    at_knots = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1)
+    means: FloatArray = 0.5 * (at_knots[:-1] + at_knots[1:])
+    return means
 
 
 def _products_from(Psi: FloatArray) -> FloatArray:

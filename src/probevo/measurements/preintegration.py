@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.measurements.gyro import means_between
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration_numba import (
     MeanSamples,
@@ -120,8 +121,8 @@ def preintegrate(
     C_cam_imu = calibration.C_cam_imu
     steps_s = 1e-9 * np.diff(knots_ns)
     # Knots include all samples, so that both are linear from knot to knot.
-    rates = _means(knots_ns, stamps_ns - start_ns, imu.gyro_rad_s[is_usable] @ C_cam_imu.T)
-    forces = _means(knots_ns, stamps_ns - start_ns, imu.accel_m_s2[is_usable] @ C_cam_imu.T)
+    rates = means_between(knots_ns, stamps_ns - start_ns, imu.gyro_rad_s[is_usable] @ C_cam_imu.T)
+    forces = means_between(knots_ns, stamps_ns - start_ns, imu.accel_m_s2[is_usable] @ C_cam_imu.T)
     # The sums, from the identity and zero on.
     bias = np.asarray(bias, np.float64)
     sums = PreintegrationSums(
@@ -184,12 +185,3 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReaso
     if hole_ns > LONGEST_HOLE * float(np.median(apart_ns)):
         return ImuReason(ImuFault.HOLE, f"has no samples for {1e-6 * hole_ns:.0f} ms")
     return None
-
-
-def _means(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> FloatArray:
-    """Return the mean of values [J, 3] between successive knots, [K − 1, 3], interpolated
-    linearly."""
-    at_knots: FloatArray = np.stack(
-        [np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1
-    )
-    return 0.5 * (at_knots[:-1] + at_knots[1:])

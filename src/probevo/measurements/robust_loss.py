@@ -16,10 +16,6 @@ from probevo.measurements.robust_loss_numba import RESIDUAL_DIM, LossKind, robus
 
 LossName = Literal["noise", "l2", "huber", "cauchy", "tukey"]
 
-MIN_VARIANCE_DOF = 3.0
-"""Smallest degrees of freedom ν for which the variance of a Student-t, scale · ν/(ν − 2), is used
-as it is. Heavier tails have a larger one, or none, but RANSAC has cut them off."""
-
 
 @dataclass(frozen=True)
 class RobustLoss:

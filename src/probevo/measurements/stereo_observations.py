@@ -47,7 +47,7 @@ from probevo.measurements.jitter_numba import (
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
 from probevo.measurements.relative import relative_motion
-from probevo.measurements.robust_loss import MIN_VARIANCE_DOF, RobustLoss
+from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.robust_loss_numba import LossKind
 from probevo.measurements.stereo_numba import (
     FeatureWeights,
@@ -62,7 +62,7 @@ from probevo.measurements.stereo_numba import (
     sum_information,
     weigh,
 )
-from probevo.noise.base import StereoNoise
+from probevo.noise.base import MIN_VARIANCE_DOF, StereoNoise
 
 EXPECTED_FEATURES = 20.0
 """Number of features that the noise model's prediction counts for, against the observed residuals,

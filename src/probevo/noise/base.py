@@ -22,6 +22,10 @@ from probevo.noise.student_t_numba import mahalanobis_and_log_det
 RefersTo = Literal["observation", "residual"]
 """What a scale matrix describes: a single observation, or the residual of a pair of them."""
 
+MIN_VARIANCE_DOF = 3.0
+"""Smallest degrees of freedom ν for which the variance of a Student-t, scale · ν/(ν − 2), is used
+as it is. Heavier tails have a larger one, or none, but RANSAC has cut them off."""
+
 
 @dataclass(frozen=True)
 class StereoNoise:
@@ -97,6 +101,15 @@ class StereoNoise:
             return replace(self, scale=self.scale + 2.0 * cov)
         prev_scale = None if self.prev_scale is None else self.prev_scale + cov
         return replace(self, scale=self.scale + cov, prev_scale=prev_scale)
+
+    @property
+    def covariance_factor(self) -> FloatArray:
+        """ν/(ν − 2), the covariance of each feature over its scale, [N].
+
+        It is infinite for ν ≤ 2, and that of ν = ``MIN_VARIANCE_DOF`` stands for it below that.
+        """
+        factor: FloatArray = 1.0 / (1.0 - 2.0 / np.maximum(self.dof, MIN_VARIANCE_DOF))
+        return factor
 
     def log_likelihood(self, residuals: FloatArray) -> FloatArray:
         """Return the log density of residuals [N, 4], px, under ``scale``, [N], nats.

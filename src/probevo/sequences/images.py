@@ -178,6 +178,20 @@ def read_size_px(path: Path) -> tuple[int, int] | None:
     return _claimed_size_px(_read_bytes(path))
 
 
+def pair_size_px(left: Path, right: Path) -> tuple[int, int]:
+    """Return the (width, height) of the images of a pair.
+
+    Raises:
+        InputError: an image is missing or damaged, or their sizes differ.
+    """
+    height, width = read_gray(left).shape
+    right_px = read_size_px(right)
+    if right_px is not None and right_px != (width, height):
+        what = f"this image has {width}×{height} px, its partner {right_px[0]}×{right_px[1]} px."
+        raise InputError(left, what, "Both must have the size of the calibration.")
+    return width, height
+
+
 def _read_bytes(path: Path) -> bytes:
     """Return the content of an image file.
 

@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, SingleArray
 from probevo.noise.gk.center_search_numba import (
     HEAD,
     LEAF,
     NEAREST,
-    SingleArray,
     search_leaves,
 )
 

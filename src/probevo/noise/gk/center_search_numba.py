@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from probevo.arrays import SingleArray
 from probevo.compiled import compiled
 
 if TYPE_CHECKING:
     from probevo.noise.gk.center_search import Leaves, NearestCenters
-
-SingleArray = NDArray[np.float32]
 
 LEAF = 64
 """Number of centers in a leaf."""

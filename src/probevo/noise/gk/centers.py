@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import KDTree
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, SingleArray
 from probevo.noise.gk.center_search import Leaves
-from probevo.noise.gk.center_search_numba import SingleArray
 from probevo.noise.gk.centers_numba import DOMAIN_MARGIN, interpolate
 from probevo.noise.student_t_arrays import LOG_PARAMETERS, StudentTBatch
 

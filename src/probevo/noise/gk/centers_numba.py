@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from probevo.arrays import SingleArray
 from probevo.compiled import compiled
-from probevo.noise.gk.center_search_numba import NEAREST, SingleArray
+from probevo.noise.gk.center_search_numba import NEAREST
 from probevo.noise.student_t_arrays import NUM_PARAMETERS, StudentTBatch
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
-from probevo.noise.probe.neighbor_index_numba import SingleArray, fill_means
+from probevo.arrays import FloatArray, IntArray, SingleArray
+from probevo.noise.probe.neighbor_index_numba import fill_means
 
 MEAN_CELL_SIZE = 500
 """Largest mean number of samples of a cell. N samples form √N cells, and more for large N, so that

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, SingleArray
 from probevo.compiled import compiled, compiled_with_free_order
 
 if TYPE_CHECKING:
     from probevo.noise.probe.neighbor_index import NeighborIndex
-
-SingleArray = NDArray[np.float32]
 
 CANDIDATES_PER_NEIGHBOR = 8
 """Cells are visited, nearest first, until they hold this many times K samples."""

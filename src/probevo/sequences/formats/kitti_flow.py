@@ -18,7 +18,7 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.sequences.calibrations.kitti_calibration import KittiCalibration
 from probevo.sequences.format_options import KITTI_FLOW_RATE_HZ
-from probevo.sequences.images import MAX_FILE_BYTES, list_images, read_gray, read_size_px
+from probevo.sequences.images import MAX_FILE_BYTES, list_images, pair_size_px
 from probevo.sequences.recording import StereoRecording
 from probevo.storage.files import check_regular
 
@@ -63,16 +63,12 @@ def open_kitti_flow(
     missing = [file for file in right_files if not file.exists()]
     if missing:
         raise InputError(missing[0], "this image is missing.", "Left and right come in pairs.")
-    height, width = read_gray(left_files[0]).shape
-    right_px = read_size_px(right_files[0])
-    if right_px is not None and right_px != (width, height):
-        what = f"this image has {width}×{height} px, its partner {right_px[0]}×{right_px[1]} px."
-        raise InputError(left_files[0], what, "Both must have the size of the calibration.")
+    size_px = pair_size_px(left_files[0], right_files[0])
     folder = "calib" if (path / "calib").is_dir() else "calib_cam_to_cam"
     calibration = KittiCalibration(path / folder / f"{number:06d}.txt", _CURE)
     prefix = "P" if folder == "calib" else "P_rect_0"
     camera = calibration.stereo_camera(
-        f"{prefix}{left_name[-1]}", f"{prefix}{right_name[-1]}", (width, height)
+        f"{prefix}{left_name[-1]}", f"{prefix}{right_name[-1]}", size_px
     )
     step_ns = 1e9 / (rate_hz or KITTI_FLOW_RATE_HZ)
     stamps_ns: IntArray = np.rint(np.array(frames) * step_ns).astype(np.int64)

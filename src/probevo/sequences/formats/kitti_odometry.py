@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from probevo.errors import InputError
 from probevo.sequences.calibrations.kitti_calibration import KittiCalibration
-from probevo.sequences.images import list_pairs, read_gray, read_size_px
+from probevo.sequences.images import list_pairs, pair_size_px
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import read_times
@@ -33,13 +32,9 @@ def open_kitti_odometry(path: Path) -> StereoRecording:
     has_only_colour = (path / "image_2").exists() and not (path / "image_0").exists()
     left, right = COLOUR if has_only_colour else GRAY
     left_files, right_files = list_pairs(path / f"image_{left}", path / f"image_{right}")
-    height, width = read_gray(left_files[0]).shape
-    right_px = read_size_px(right_files[0])
-    if right_px is not None and right_px != (width, height):
-        what = f"this image has {width}×{height} px, its partner {right_px[0]}×{right_px[1]} px."
-        raise InputError(left_files[0], what, "Both must have the size of the calibration.")
+    size_px = pair_size_px(left_files[0], right_files[0])
     calibration = KittiCalibration(path / "calib.txt", "It holds the projections P0 to P3.")
-    camera = calibration.stereo_camera(f"P{left}", f"P{right}", (width, height))
+    camera = calibration.stereo_camera(f"P{left}", f"P{right}", size_px)
     stamps_ns = read_times(path / "times.txt", len(left_files))
     absolute = path.resolve()
     poses = absolute.parent.parent / "poses" / f"{absolute.name}.txt"
