@@ -156,7 +156,8 @@ def test_each_copy_of_the_data_is_another_one() -> None:
         return inputs, jax.numpy.where(is_turned, product(targets, half_turn), targets)
 
     plan = replace(PLAN, epochs=4, copies=3)
-    plain = learn(HYDRA_SIGMA, SPACE, build, data=given, plan=plan)
+    as_many_steps = replace(PLAN, epochs=plan.copies * plan.epochs)
+    plain = learn(HYDRA_SIGMA, SPACE, build, data=given, plan=as_many_steps)
     copied = learn(HYDRA_SIGMA, SPACE, build, data=replace(given, augment=turned), plan=plan)
     sigma = []
     for networks in (plain.networks, copied.networks):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
-pytest.importorskip("equinox")
+eqx = pytest.importorskip("equinox")
 
 from cli.rendering import write_wall  # noqa: E402
 from nets.small_pairs import NOISE, small_pairs  # noqa: E402
@@ -31,6 +31,8 @@ from probevo.sequences import open_sequence  # noqa: E402
 from probevo.sequences.frame import GroundTruth  # noqa: E402
 
 FRAMES = 13
+PAIRS = FRAMES - 1
+"""Pairs of a recording. With as many, what the training has compiled serves the tests, too."""
 SETTINGS = NetworkSettings(epochs=3, copies=3, batch=16, heads=4)
 
 
@@ -50,7 +52,7 @@ def model(walls: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_file_gives_the_network_back(model: Path, tmp_path: Path) -> None:
     network = RotationNetwork.load(model)
-    pairs = small_pairs(4)
+    pairs = small_pairs(PAIRS)
     copy = tmp_path / "copy.safetensors"
     network.save(copy)
     assert copy.read_bytes() == model.read_bytes()
@@ -189,12 +191,12 @@ def test_train_run_and_compare_with_the_sensor(
 def test_errors_are_those_of_left_perturbations(model: Path) -> None:
     """An estimate that is C_true turned by φ has the error φ."""
     network = RotationNetwork.load(model)
-    pairs = small_pairs(5)
+    pairs = small_pairs(PAIRS)
     C = so3.exp(_rotation_vectors(network.estimate(pairs.fields).q_curr_prev))
     phi = np.array([0.01, -0.02, 0.015])
     truth = so3.log(so3.exp(-phi) @ C)
     errors = errors_of(network, ImagePairs(pairs.fields, truth)).errors
-    np.testing.assert_allclose(errors, np.tile(phi, (5, 1)), atol=1e-5)
+    np.testing.assert_allclose(errors, np.tile(phi, (PAIRS, 1)), atol=1e-5)
     assert NOISE > 0.0
 
 
@@ -202,8 +204,14 @@ def test_saliency_is_the_derivative_of_the_loss_by_a_cell(model: Path) -> None:
     network = RotationNetwork.load(model)
     pairs = small_pairs(1)
     q_true = np.asarray(quaternions.exp(jax.numpy.asarray(pairs.rotations, jax.numpy.float32)))
-    found = saliency(network, SPACE, pairs.fields, q_true)
+    found = saliency(
+        network,
+        SPACE,
+        np.repeat(pairs.fields, PAIRS, axis=0),
+        np.repeat(q_true, PAIRS, axis=0),
+    )
     assert found.shape == pairs.fields.shape[2:]
+    loss = eqx.filter_jit(methods.loss)
     first = jax.tree.map(lambda array: array[0], network.networks)
     row, column = np.unravel_index(np.argmax(found), found.shape)
     spread = pairs.fields.std(axis=(0, 2, 3))
@@ -213,7 +221,7 @@ def test_saliency_is_the_derivative_of_the_loss_by_a_cell(model: Path) -> None:
         for sign in (1.0, -1.0):
             moved = pairs.fields.copy()
             moved[0, channel, row, column] += 0.03 * sign * spread[channel]
-            one = methods.loss(SPACE, first, moved, q_true[:, None], key=jax.random.key(0))
+            one = loss(SPACE, first, moved, q_true[:, None], key=jax.random.key(0))
             losses.append(float(one))
         expected += abs(losses[0] - losses[1]) / 0.06
     assert found[row, column] == pytest.approx(expected, rel=0.1)

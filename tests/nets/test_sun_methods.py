@@ -29,6 +29,8 @@ from probevo.nets.trained_network import first_facts, saliency, trunk_features  
 from probevo.network_settings import MethodName, NetworkSettings  # noqa: E402
 
 IMAGES = 12
+ESTIMATED = 4
+"""Images of which estimates are made: of always as many, these are compiled once."""
 SCALE = 2.0
 FEWEST = {
     "dropout": NetworkSettings(method="dropout", passes=2, dropout=0.5),
@@ -78,7 +80,7 @@ def call_each(network: Network, fields: Any, key: Any) -> Any:
 def test_the_covariance_of_two_estimates_is_positive_definite(name: str) -> None:
     """Also where both agree: on an even grey, where all channels are zero."""
     network = untrained(name)
-    fields = small_views(seed=1).fields
+    fields = small_views(ESTIMATED, seed=1).fields
     fields[0] = 0.0
     found = network.estimate(fields)
     assert network.method.num_estimates == 2
@@ -103,7 +105,7 @@ def test_an_image_of_nothing_or_of_less_contrast_is_out_of_the_domain() -> None:
 def test_the_spread_is_that_of_the_single_estimates(name: str) -> None:
     """Those of the networks, or of the masks, called one by one."""
     network = untrained(name)
-    views = small_views(3, seed=2)
+    views = small_views(ESTIMATED, seed=2)
     keys = jax.random.split(jax.random.key(0), (network.method.networks, network.method.passes))
     estimates = []
     for member in range(network.method.networks):
@@ -111,7 +113,7 @@ def test_the_spread_is_that_of_the_single_estimates(name: str) -> None:
         for key in keys[member]:
             estimates.append(eqx.filter_jit(call_each)(one, jax.numpy.asarray(views.fields), key))
     by_image = jax.numpy.stack(estimates, axis=1)
-    assert by_image.shape == (3, 2, 3)
+    assert by_image.shape == (ESTIMATED, 2, 3)
     mean = SPACE.mean(by_image)
     errors = np.asarray(SPACE.difference(by_image, mean[:, None]), np.float64)
     expected = errors.mT @ errors + MIN_SIGMA_RAD**2 * np.eye(2)
@@ -125,11 +127,11 @@ def test_the_spread_is_that_of_the_single_estimates(name: str) -> None:
 def test_an_estimate_depends_on_its_image_alone(name: str) -> None:
     """Not on how often it was asked, nor on which other images were handed in with it."""
     network = untrained(name)
-    fields = small_views(4, seed=3).fields
+    fields = small_views(ESTIMATED, seed=3).fields
     together = network.estimate(fields)
     again = network.estimate(fields)
     np.testing.assert_array_equal(together.covariance, again.covariance)
-    for k in range(4):
+    for k in range(ESTIMATED):
         alone = network.estimate(fields[k : k + 1])
         np.testing.assert_allclose(alone.directions[0], together.directions[k], atol=1e-5)
         np.testing.assert_allclose(alone.covariance[0], together.covariance[k], rtol=1e-3)
@@ -174,7 +176,7 @@ def test_the_file_gives_the_networks_back(name: str, tmp_path: Path) -> None:
     file = tmp_path / "sun.safetensors"
     network.save(file)
     again = SunNetwork.load(file)
-    fields = small_views(2, seed=4).fields
+    fields = small_views(ESTIMATED, seed=4).fields
     np.testing.assert_array_equal(
         again.estimate(fields).covariance, network.estimate(fields).covariance
     )
