@@ -41,8 +41,10 @@ from probevo.sequences.missing_data import Defect, MissingData
 from probevo.state import OdometryState
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_features
 
-NUM_FRAMES = 7
-"""Frames at each of which a stage fails; there is one more, to go on with."""
+NUM_FRAMES = 5
+"""Frames at each of which a stage fails; there is one more, to go on with. In the last two of them,
+the oldest frame leaves the window."""
+LAST = NUM_FRAMES - 1
 WITHOUT_WINDOW = "features, without a window"
 """Content of a drive with features, for the two-frame estimator."""
 PACKAGE = str(Path(pv.__file__).parent)
@@ -354,7 +356,7 @@ def break_stage(monkeypatch: pytest.MonkeyPatch, stage: Stage, fault: Fault) -> 
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_a_frame_that_raises_was_never_there(stage: Stage) -> None:
-    """At each of seven frames, by each fault, one after another: the state is the same object, with
+    """At each of five frames, by each fault, one after another: the state is the same object, with
     the same content, and the next step equals that of an odometry that never saw the frame."""
     frames = drive_with(stage.content).frames
     expected = leaves_without_a_frame(stage.content)
@@ -420,7 +422,7 @@ def test_an_interrupt_at_any_line_leaves_the_old_state_or_the_new_one(content: s
     interrupt after its last assignment; what is interrupted many times goes on as if it never
     was."""
     frames = drive_with(content).frames
-    k = 5
+    k = LAST
     odometry = odometry_of(content, "window")
     for frame in frames[:k]:
         odometry.step(frame)
@@ -476,7 +478,7 @@ def test_a_specific_force_that_is_not_finite_is_missing_data() -> None:
     """The frame is used, and says what was missing. A model that does not look at the accelerometer
     gives the same motions."""
     drive = drive_with("features")
-    k = 5
+    k = LAST
     broken = replaced(drive.frames, k, with_broken_sample(drive.frames[k], "accel_m_s2"))
     space = prediction_space(["acceleration"])
 
@@ -493,7 +495,7 @@ def test_a_model_of_the_acceleration_goes_by_the_finite_samples() -> None:
     """Its columns are those of an interval without that sample, and so is the motion, which is
     within its covariance of the truth, like the next one."""
     drive = drive_with("features")
-    k = 5
+    k = LAST
     odometry = odometry_of("features")
     without = odometry_of("features")
     run(odometry, drive.frames[:k])
@@ -512,7 +514,7 @@ def test_a_model_of_the_acceleration_goes_by_the_finite_samples() -> None:
 def test_an_angular_rate_that_is_not_finite_is_a_missing_sample() -> None:
     """The step equals that without the sample, and lies within its covariance of the truth."""
     drive = drive_with("features")
-    k = 5
+    k = LAST
     broken = replaced(drive.frames, k, with_broken_sample(drive.frames[k], "gyro_rad_s"))
     without = replaced(drive.frames, k, without_sample(drive.frames[k]))
     found = run(odometry_of("features"), broken)
@@ -530,7 +532,7 @@ def test_an_angular_rate_that_is_not_finite_is_a_missing_sample() -> None:
 def test_a_gyro_without_any_finite_rate_is_a_gap_of_the_imu() -> None:
     """The step is that of a frame without IMU samples."""
     drive = drive_with("features")
-    k = 5
+    k = LAST
     imu = drive.frames[k].imu
     assert imu is not None
     silent = replace(imu, gyro_rad_s=np.full_like(imu.gyro_rad_s, np.nan))
