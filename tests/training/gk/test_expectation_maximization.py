@@ -47,6 +47,7 @@ GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "iterations": 2,
 """Weights and the dof are searched for."""
 ONCE: dict[str, Any] = {"iterations": 1, "time_correlation": False}
 """Where time correlation does not matter, which is rejected here anyway."""
+EXACT: dict[str, Any] = {"truth_sigma_m": 0.0, "truth_sigma_deg": 0.0, "time_correlation": False}
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,8 @@ def learn(drives: list[DriveInMemory], begun: str | None = None, **gk: Any) -> L
 
 @cache
 def learned(kind: str = "none") -> Learned:
-    return learn([supervised_drive(kind)], kind)
+    """Where all is known or nothing, time correlation is learned, too, and rejected."""
+    return learn([supervised_drive(kind)], kind, time_correlation=kind in ("gt", "none"))
 
 
 @cache
@@ -230,14 +232,13 @@ def test_the_random_column_gets_no_weight() -> None:
 def test_truth_that_is_exact_is_found_to_be_so() -> None:
     """With its σ estimated, all is as if the motions were known (PROBE-GK Alg. 1): σ of each
     feature within 1 %."""
-    exact = learn([supervised_drive("gt")], "exact", truth_sigma_m=0.0, truth_sigma_deg=0.0)
+    exact = learn([supervised_drive("gt")], "exact", **EXACT)
     np.testing.assert_allclose(log_ratio(learned("gt").model), log_ratio(exact.model), atol=0.01)
 
 
 def test_with_exact_truth_one_iteration_suffices() -> None:
     """More hardly change it: σ of a feature by 2 % in the mean."""
-    exact = {"truth_sigma_m": 0.0, "truth_sigma_deg": 0.0}
-    once = learn([supervised_drive("gt")], "exact", **exact, iterations=1)
+    once = learn([supervised_drive("gt")], "exact", **EXACT | {"iterations": 1})
     assert np.mean(np.abs(log_ratio(once.model) - log_ratio(learned("gt").model))) < 0.02
 
 
@@ -289,7 +290,7 @@ def test_of_residuals_it_learns_more_noise_than_of_observations() -> None:
 def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     """Of 0.4 px to the right in both images, with exact truth, without which it would pass for a
     motion."""
-    right = supervised_drive("gt", frames=30)
+    right = supervised_drive("gt", frames=20)
     shifted = right.drive.curr_px + np.array([0.4, 0.0, 0.4, 0.0])
     off = replace(right, drive=replace(right.drive, curr_px=shifted))
     without, with_bias = (
@@ -370,22 +371,40 @@ def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
     )
 
 
-def test_every_iteration_is_reported() -> None:
+@dataclass(frozen=True)
+class Reported:
+    """A model of a short drive, and what its training told of its progress."""
+
+    model: GeneralizedKernel
+    progress: TrainingProgress
+    done: list[int]
+
+
+@pytest.fixture(scope="module")
+def reported() -> Reported:
     settings = settings_of(iterations=2)
-    num_iterations = trainer_of("gk").num_iterations(settings)
     done: list[int] = []
-    progress = TrainingProgress(20, num_iterations, lambda frames, total: done.append(frames))
-    learn_kernel(context_of([supervised_drive(frames=20)], settings, progress))
-    assert progress.iterations_done == num_iterations == 2 * STATIC_ITERATIONS + 2
+    progress = TrainingProgress(
+        20,
+        trainer_of("gk").num_iterations(settings),
+        lambda frames, total: done.append(frames),
+    )
+    model = learn_kernel(context_of([supervised_drive(frames=20)], settings, progress))
+    return Reported(model, progress, done)
+
+
+def test_every_iteration_is_reported(reported: Reported) -> None:
+    num_iterations = trainer_of("gk").num_iterations(settings_of(iterations=2))
+    done = reported.done
+    assert reported.progress.iterations_done == num_iterations == 2 * STATIC_ITERATIONS + 2
     assert done == sorted(done)
-    assert done[-1] == progress.total
+    assert done[-1] == reported.progress.total
     assert len(set(done)) > num_iterations
 
 
-def test_the_same_drives_give_the_same_model() -> None:
-    one, other = (
-        learn([supervised_drive(frames=20)], iterations=2).model.to_file() for _ in range(2)
-    )
+def test_the_same_drives_give_the_same_model(reported: Reported) -> None:
+    one = reported.model.to_file()
+    other = learn([supervised_drive(frames=20)], iterations=2).model.to_file()
     assert one.facts == other.facts
     for name, array in one.arrays.items():
         assert np.asarray(array).tobytes() == np.asarray(other.arrays[name]).tobytes()
@@ -421,12 +440,13 @@ def test_a_recording_gives_the_same_bytes_whenever(
     recordings: list[Sequence], tmp_path: Path, kind: Any, supervision: Any
 ) -> None:
     """Train by ``train_model``, as ``probevo train`` does, and run the odometry with the model."""
+    without = SMALL | {"time_correlation": False}  # of which the static fit has it
     settings = TrainSettings(
         kind=kind,
         supervision=supervision,
         every_s=0.5 if supervision == "sparse" else 0.0,
         predictors=("place",) if kind == "gk" else None,
-        gk=KernelSettings(**SMALL) if kind == "gk" else KernelSettings(),
+        gk=KernelSettings(**without) if kind == "gk" else KernelSettings(),
     )
     contents = set()
     for name in "ab":
