@@ -283,14 +283,13 @@ def _factor_after(window: Window, prev: Frame, frame: Frame) -> Preintegration:
 
 
 def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
-    """The average NEES of the last pose over 12 drives is below 1.5 times its dimensions, and the
-    error is below that of the images alone."""
+    """The average NEES of the last pose over eight drives is 0.4 to 1.6 times its dimensions, and
+    the error is below that of the images alone."""
     squared = []
     errors = []
     errors_without = []
-    for seed in range(10, 22):
+    for seed in range(10, 18):
         frames, truth = drive_of(seed, 20)
-        last = [odometry().step(frame) for frame in frames[:1]][-1]
         by = odometry()
         without = odometry(calibration=None)
         for frame in frames:
@@ -367,9 +366,9 @@ def test_an_imu_at_rest_starts() -> None:
 
 
 def test_biases_that_do_not_walk_are_as_those_that_hardly_walk() -> None:
-    """σ of the biases after 80 frames, and the last pose in units of its σ, agree to a thousandth
+    """σ of the biases after 40 frames, and the last pose in units of its σ, agree to a thousandth
     with walks of 1e-7 rad/s²/√Hz and 1e-6 m/s³/√Hz."""
-    frames, truth = drive_of(48, 80)
+    frames, truth = drive_of(48, 40)
     found = []
     for gyro_walk, accel_walk in ((0.0, 0.0), (1e-7, 1e-6)):
         calibration = replace(
@@ -390,9 +389,9 @@ def test_biases_that_do_not_walk_are_as_those_that_hardly_walk() -> None:
 
 @pytest.mark.parametrize("frames", [3, 4])
 def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
-    """It is used from then on, and the last poses of ten drives are consistent."""
+    """It is used from then on, and the last poses of six drives are consistent."""
     squared = []
-    for seed in range(60, 70):
+    for seed in range(60, 66):
         seen, truth = drive_of(seed, 20)
         by = odometry(frames=frames)
         for frame in seen:
@@ -417,9 +416,9 @@ def test_a_window_that_is_too_short_for_the_test_says_so() -> None:
 
 def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
     """A hole of 30 ms in each seventh interval, which is not preintegrated: the last intervals are
-    tested by themselves. The last poses of ten drives are consistent."""
+    tested by themselves. The last poses of six drives are consistent."""
     squared = []
-    for seed in range(50, 60):
+    for seed in range(50, 56):
         frames, truth = drive_of(seed, 24)
         by = odometry()
         for frame in frames:
