@@ -353,7 +353,7 @@ def test_a_model_learned_on_one_drive_makes_another_one_better(
     """
     train = sampled_drive(kind, every=every, base_name=base)
     test = sampled_drive(seed=1, base_name=base)
-    model = learned(train, TrainSettings(iterations=30))
+    model = learned(train, TrainSettings(iterations=20))
     beta = model.weights(test.drive.phi)
     assert rmse_of(test, beta) < better * static_rmse_m(test)
     of_noise, of_chance = (
