@@ -30,7 +30,7 @@ from worlds import CAMERA, FORWARD, drive, motion_error
 
 SIGMA_PX = 0.2
 FRAMES = 14
-DRIVES = 20
+DRIVES = 12
 SPAN = 8
 """Frames that the motions within a window span."""
 SETTINGS = {"estimator": "window", "self_calibration": False}

@@ -64,10 +64,10 @@ def test_the_first_frame_behind_leads_back_to_the_last_one_before(estimator: str
 @pytest.mark.parametrize("estimator", ["two-frame", "window"])
 @pytest.mark.parametrize("blind", [BLIND, (7, 9)])
 def test_steps_and_path_are_within_their_covariance(blind: tuple[int, ...], estimator: str) -> None:
-    """Of 20 drives; the last pose, and the step that recovers."""
+    """Of 12 drives; the last pose, and the step that recovers."""
     of_step = []
     of_pose = []
-    for seed in range(20):
+    for seed in range(12):
         frames, true = drive_with_blind_frames(np.random.default_rng(seed), blind)
         steps = motions_of(frames, estimator)[1:]
         count = sum(step.status is pv.Status.RECOVERED for step in steps)

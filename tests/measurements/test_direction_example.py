@@ -16,7 +16,7 @@ from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, moved, random_pixels
 
 NUM_FRAMES = 61
 NUM_POINTS = 25
-NUM_RUNS = 20
+NUM_RUNS = 12
 SIGMA_PX = 0.5
 SIGMA_DIRECTION = np.deg2rad(0.3)
 DOWN = np.array([0.0, 1.0, 0.0])

@@ -50,11 +50,11 @@ def drive_past_a_void(
 
 
 def test_the_rotation_of_far_features_counts_and_the_claim_holds() -> None:
-    """Of 20 drives; the pose at the end, and the steps without near features."""
+    """Of 12 drives; the pose at the end, and the steps without near features."""
     of_pose = []
     of_step = []
     num_weak = 0
-    for seed in range(20):
+    for seed in range(12):
         frames, true = drive_past_a_void(np.random.default_rng(seed))
         odometry = pv.StereoOdometry(CAMERA)
         T_world_cam = np.eye(4)
@@ -76,17 +76,17 @@ def test_the_rotation_of_far_features_counts_and_the_claim_holds() -> None:
         )
         # Dead reckoning alone leaves 0.02 rad for each step.
         assert np.sqrt(np.diagonal(motion.pose_cov)[3:]).max() < 0.002
-    assert num_weak > 20
+    assert num_weak > 12
     _, high = chi2_interval(6, len(of_pose))
     assert np.mean(of_pose) < high
     assert np.mean(of_step) < high
 
 
 def test_a_blind_frame_behind_far_features_is_reckoned_by_what_they_showed() -> None:
-    """Not by the velocity of the last step that was solved. Of 20 drives, the blind step."""
+    """Not by the velocity of the last step that was solved. Of 12 drives, the blind step."""
     errors = []
     squared = []
-    for seed in range(20):
+    for seed in range(12):
         frames, true = drive_past_a_void(np.random.default_rng(seed), weak=(7, 8, 9))
         frames[10] = blind_frame(10)
         odometry = pv.StereoOdometry(CAMERA)

@@ -383,7 +383,7 @@ def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
 def test_relative_poses_are_consistent(dof: float, tau_px: float) -> None:
     """The average NEES of motions over 1, 4 and 8 frames, at the end of independent drives, lies in
     the 99.9 % interval of χ²(6); noise is of the model's own kind: one scale for a landmark."""
-    drives = 24
+    drives = 16
     squared: dict[int, list[float]] = {1: [], 4: [], 8: []}
     for seed in range(drives):
         rng = np.random.default_rng([57, seed])
@@ -402,7 +402,7 @@ def test_relative_poses_are_consistent(dof: float, tau_px: float) -> None:
 def test_with_jitter_of_the_rig_relative_poses_are_consistent(knows: bool) -> None:
     """As above, for a right camera that turns by 0.03° in every frame. Windows that do not know of
     it claim far too much."""
-    drives = 24
+    drives = 16
     cov = JITTER_SIGMA_RAD**2 * np.eye(JITTER)
     squared = []
     for seed in range(drives):
