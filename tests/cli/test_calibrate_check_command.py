@@ -19,7 +19,7 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.output.calibration_picture import write_calibration_picture
-from probevo.runs.calibration_check import check_calibration
+from probevo.runs.calibration_check import CalibrationCheck, check_calibration
 from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -199,9 +199,15 @@ def test_the_command_names_what_is_wrong(
     assert "--max-frames: is 2" in capsys.readouterr().err
 
 
+@pytest.fixture(scope="module")
+def found(world: World) -> CalibrationCheck:
+    return check_calibration(world, 20)
+
+
 @pytest.mark.parametrize("ending", [".png", ".svg", ".pdf"])
-def test_the_picture_is_the_same_bytes_each_time(world: World, tmp_path: Path, ending: str) -> None:
-    found = check_calibration(world, 20)
+def test_the_picture_is_the_same_bytes_each_time(
+    world: World, found: CalibrationCheck, tmp_path: Path, ending: str
+) -> None:
     files = [tmp_path / f"{name}{ending}" for name in ("first", "second")]
     for file in files:
         write_calibration_picture(
