@@ -129,7 +129,7 @@ def test_learn_whom_to_trust(
     monkeypatch.setattr(
         example, "open_scene", lambda config: rendered_once(config.model_copy(update={"rig": rig}))
     )
-    example.main(16.0)
+    example.main(12.0)
     lines = capsys.readouterr().out.splitlines()
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]

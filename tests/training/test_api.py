@@ -267,7 +267,7 @@ def motions(path: Path, noise: NoiseModel) -> FloatArray:
 def test_what_was_learned_on_one_recording_makes_another_one_better(tmp_path: Path) -> None:
     """σ grows from 0.05 px to 1 px from left to right, and all that the model sees is where a
     feature is."""
-    worlds = [point_world("column", seed=seed) for seed in (0, 1)]
+    worlds = [point_world("column", seed=seed, frames=40) for seed in (0, 1)]
     for name, world in zip(("train", "test"), worlds, strict=True):
         write_points(world, tmp_path / f"{name}.npz")
     settings = SETTINGS.model_copy(
