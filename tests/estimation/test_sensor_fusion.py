@@ -1,7 +1,8 @@
 """Fusion of sensors: the Cramér–Rao bound, lies, dropouts, and a heading that nobody knows."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +30,7 @@ STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])
 SIGMA_RAD = np.deg2rad(10.0)
 NUM_FRAMES = 400
 EVERY = 5
+DRIVES = 12
 
 
 class Reads(Protocol):
@@ -117,27 +119,48 @@ def heading_rms(states: list[SensorFusion], poses: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def test_the_attitude_reaches_its_fisher_bound_and_is_consistent() -> None:
-    """RMS over 16 drives and the second half of their frames, within 20 % of the bound; the claimed
+@dataclass(frozen=True)
+class HonestDrive:
+    """A drive with an honest sun sensor, and what became of both."""
+
+    poses: FloatArray
+    sun: Sun
+    states: list[SensorFusion]
+    outcomes: list[tuple[SensorOutcome, ...]]
+
+
+@pytest.fixture(scope="module")
+def honest_drives() -> list[HonestDrive]:
+    drives = []
+    for seed in range(DRIVES):
+        rng = np.random.default_rng(seed)
+        poses = true_path(rng)
+        sun = Sun(poses, rng)
+        states, outcomes = fuse(poses, noisy_steps(poses, rng), [sun], NorthConfig())
+        drives.append(HonestDrive(poses, sun, states, outcomes))
+    return drives
+
+
+def test_the_attitude_reaches_its_fisher_bound_and_is_consistent(
+    honest_drives: list[HonestDrive],
+) -> None:
+    """RMS over 12 drives and the second half of their frames, within 20 % of the bound; the claimed
     covariance is the bound within 10 %."""
     squares = []
     bounds = []
     claims = []
     nees = []
-    for seed in range(16):
-        rng = np.random.default_rng(seed)
-        poses = true_path(rng)
-        sun = Sun(poses, rng)
-        states, outcomes = fuse(poses, noisy_steps(poses, rng), [sun], NorthConfig())
-        assert all(outcome[0].state != "excluded" for outcome in outcomes)
+    for honest in honest_drives:
+        poses = honest.poses
+        adjoints = se3.adjoint(poses[1:] @ se3.inverse(poses[:-1]))
         cov = np.zeros((6, 6))
-        for index, state in enumerate(states, start=1):
+        for index, state in enumerate(honest.states, start=1):
             T = poses[index]
-            adjoint = se3.adjoint(T @ se3.inverse(poses[index - 1]))
+            adjoint = adjoints[index - 1]
             cov = adjoint @ cov @ adjoint.T + STEP_COV
-            u = T[:3, :3] @ sun.in_world
-            H = np.hstack([np.zeros((2, 3)), tangent_axes(u).T @ so3.wedge(u)])
+            u = T[:3, :3] @ honest.sun.in_world
             if index % EVERY == 0:
+                H = np.hstack([np.zeros((2, 3)), tangent_axes(u).T @ so3.wedge(u)])
                 gain = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + SIGMA_RAD**2 * np.eye(2))
                 cov = cov - gain @ H @ cov
             if index > NUM_FRAMES // 2:
@@ -145,12 +168,21 @@ def test_the_attitude_reaches_its_fisher_bound_and_is_consistent() -> None:
                 squares.append(attitude_error(state, T)[1] ** 2)
                 bounds.append(down @ cov[3:, 3:] @ down)
                 claims.append(down @ state.pose.cov[3:, 3:] @ down)
-        error = T[:3, :3] @ attitude_error(states[-1], T)
-        nees.append(error @ np.linalg.solve(states[-1].pose.cov[3:, 3:], error))
+        last = honest.states[-1]
+        error = T[:3, :3] @ attitude_error(last, T)
+        nees.append(error @ np.linalg.solve(last.pose.cov[3:, 3:], error))
     assert np.sqrt(np.mean(squares) / np.mean(bounds)) == pytest.approx(1.0, abs=0.2)
     assert np.sqrt(np.mean(claims) / np.mean(bounds)) == pytest.approx(1.0, abs=0.1)
-    low, high = chi2_interval(dof=3, count=16, confidence=0.999)
+    low, high = chi2_interval(dof=3, count=DRIVES, confidence=0.999)
     assert low < np.mean(nees) < high
+
+
+@cache
+def without_sensors(seed: int) -> list[SensorFusion]:
+    rng = np.random.default_rng(seed)
+    poses = true_path(rng)
+    states, _ = fuse(poses, noisy_steps(poses, rng), [], NorthConfig())
+    return states
 
 
 @pytest.mark.parametrize("from_index", [0, 150], ids=["from the start", "later"])
@@ -164,7 +196,7 @@ def test_a_sensor_that_lies_is_excluded_and_forgotten(fault: str, from_index: in
     steps = noisy_steps(poses, rng)
     sun = Sun(poses, rng, fault, from_index)
     states, outcomes = fuse(poses, steps, [sun], NorthConfig())
-    without, _ = fuse(poses, steps, [], NorthConfig())
+    without = without_sensors(5)
     last = outcomes[-1][0]
     assert last.state == "excluded"
     assert last.reason
@@ -174,17 +206,14 @@ def test_a_sensor_that_lies_is_excluded_and_forgotten(fault: str, from_index: in
         assert heading_rms(states, poses) <= 1.05 * heading_rms(without, poses)
 
 
-def test_an_honest_sensor_is_not_excluded() -> None:
-    """In none of 5 drives of 80 sightings; nor in any of those above."""
-    for seed in range(5):
-        rng = np.random.default_rng(100 + seed)
-        poses = true_path(rng)
-        _, outcomes = fuse(poses, noisy_steps(poses, rng), [Sun(poses, rng)], NorthConfig())
-        assert outcomes[-1][0].state != "excluded"
+def test_an_honest_sensor_is_not_excluded(honest_drives: list[HonestDrive]) -> None:
+    """In none of 12 drives of 80 sightings."""
+    for honest in honest_drives:
+        assert all(outcome[0].state != "excluded" for outcome in honest.outcomes)
 
 
 class Gps:
-    """A heading from north with dropouts; the first camera heads 100°."""
+    """A heading from north with dropouts."""
 
     def __init__(self, poses: FloatArray, rng: np.random.Generator, heading_deg: float) -> None:
         self.poses = poses
@@ -199,7 +228,7 @@ class Gps:
         return Reading("gps", (Heading(pose_of(index), heading, np.deg2rad(2.0), north=NORTH),))
 
 
-@pytest.mark.parametrize("heading_deg", [0.0, 100.0, 179.0, -135.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 179.0, -135.0])
 def test_an_unknown_heading_is_found_with_its_covariance(heading_deg: float) -> None:
     """The heading of the first camera is a state: it is known as well as the measurements say, and
     the drift is bounded beside it."""
