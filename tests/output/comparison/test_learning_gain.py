@@ -40,20 +40,20 @@ def test_comparisons_of_noise_hardly_find_a_difference(
 
     Paths are shorter than any segment, whose drift need not be computed then.
     """
-    run = make_run(40, speed=0.2)
+    run = make_run(27, speed=0.2)
     found = 0
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng([7, seed])
         motions = {}
         errors = {}
         for name in "abcdef":
-            noise = rng.normal(0.0, 0.001, (39, 6))
+            noise = rng.normal(0.0, 0.001, (26, 6))
             motions[name] = se3.exp(noise) @ run.T_curr_prev
             noisy = se3.chain_motions(motions[name])
             errors[name] = {"final_error_m": evaluate(noisy, run.T_world_cam).final_error_m}
         ranking = rank(motions, errors, run.T_world_cam)["final_error_m"]
         found += any(one.is_significant for one in ranking.against.values())
-    assert found <= 4  # of 1 that is expected, with a probability of 99.6 %
+    assert found <= 3  # of 0.6 that are expected, with a probability of 99.8 %
 
 
 def test_gains_and_losses_are_both_said(make_run: Callable[..., RunResult]) -> None:
