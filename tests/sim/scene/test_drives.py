@@ -10,8 +10,11 @@ import probevo as pv
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
-from probevo_sim.scene.config import Effects, SceneConfig
+from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
+
+RIG = RigConfig(width_px=620, height_px=188, focal_px=360.0)
+"""Half of KITTI's resolution."""
 
 
 def drive(scene: SceneRecording) -> tuple[Metrics, list[MotionEstimate]]:
@@ -32,7 +35,7 @@ def test_a_clean_drive_drifts_little_and_noise_increases_the_error() -> None:
     The drive is 18 m through the city. Noise is added after rendering, so that both drives can use
     the same renderings.
     """
-    scene = open_scene(SceneConfig(preset="city", seed=1, distance_m=18.0))
+    scene = open_scene(SceneConfig(preset="city", seed=1, distance_m=18.0, rig=RIG))
     scene.renderer.pair = cache(scene.renderer.pair)  # type: ignore[method-assign]
     noisy_scene = replace(
         scene, config=scene.config.model_copy(update={"effects": Effects(noise=1.0)})
