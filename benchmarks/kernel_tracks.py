@@ -29,7 +29,7 @@ from probevo.training.drive import joined
 from probevo.training.extraction import Extraction
 from probevo.training.gk.expectation import MotionPosterior, feature_errors, solve_drive
 from probevo.training.gk.expectation_maximization import learn_kernel, learn_student_t
-from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
+from probevo.training.settings import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import supervision_of
 from probevo.training.trainer import TrainingContext
@@ -85,7 +85,7 @@ def run(path: Path, noise: pv.noise.NoiseModel, estimator: str) -> Metrics:
 def space_of_tracks() -> PredictionSpace:
     """Return the default prediction space of the kernel without predictors that need images."""
     images = Needs.LEFT | Needs.PREVIOUS_LEFT
-    predictors = prediction_space(KERNEL).predictors
+    predictors = prediction_space(KERNEL_PREDICTORS).predictors
     return PredictionSpace(tuple(each for each in predictors if not each.needs & images))
 
 

@@ -36,7 +36,7 @@ from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
 from probevo.sequences.frame import Frame
-from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
+from probevo.training.settings import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo_sim.spoiling.config import SpoilConfig
 from probevo_sim.spoiling.recording import SpoiledRecording
 from probevo_sim.spoiling.stress import StepErrors, step_errors
@@ -60,7 +60,7 @@ OUTSIDE = 20.06
 FITTED = "fitted Student-t"
 NEW = ("alignment",)
 """Predictors of how well windows match, which older versions did not have."""
-OLD = tuple(name for name in KERNEL if name not in NEW)
+OLD = tuple(name for name in KERNEL_PREDICTORS if name not in NEW)
 SETS = {
     "gk, old predictors": OLD,
     "gk": (*OLD, *NEW),

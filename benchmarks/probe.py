@@ -26,7 +26,7 @@ from probevo.cli.compare import aggressive
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.training.settings import PUBLISHED, SupervisionName, TrainSettings
+from probevo.training.settings import PUBLISHED_PREDICTORS, SupervisionName, TrainSettings
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import write_training_and_test
 from probevo_sim.scene.config import Effects, PresetName, SceneConfig
@@ -44,7 +44,7 @@ ROAD_M = 250.0
 ROVER_M = 40.0
 LOOPS = 5
 PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
-    update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
+    update={"predictors": tuple(name for name in PUBLISHED_PREDICTORS if name != "acceleration")}
 )
 """PROBE as published without the accelerometer, which not all of these drives have."""
 FROM_TRACKS = (

@@ -78,12 +78,12 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
     from probevo.training.drive import joined
     from probevo.training.extraction import Extraction
     from probevo.training.gk.expectation import expect
-    from probevo.training.settings import KERNEL
+    from probevo.training.settings import KERNEL_PREDICTORS
     from probevo.training.supervised_drive import DriveInMemory
     from probevo.training.supervision import supervision_of
 
     count = min(frames, len(sequence), 60)
-    space = prediction_space(KERNEL)
+    space = prediction_space(KERNEL_PREDICTORS)
     config = pv.OdometryConfig(estimator="two-frame")
     drive = joined(Extraction(sequence, space, config, num_frames=count))
     supervised = DriveInMemory(

@@ -12,11 +12,11 @@ from output.pages import Balance
 from probevo.cli.main import main
 from probevo.output.inspection.feature_pictures import enlargement, legend_height
 from probevo.predictors import PREDICTORS
-from probevo.training.settings import DEFAULT
+from probevo.training.settings import PROBE_PREDICTORS
 from sequences.damage import replace
 from worlds import CAMERA, drive
 
-DEFAULT_COLUMNS = [column for name in DEFAULT for column in PREDICTORS[name].columns]
+DEFAULT_COLUMNS = [column for name in PROBE_PREDICTORS for column in PREDICTORS[name].columns]
 
 
 @pytest.fixture(scope="session")

@@ -42,7 +42,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "times": lambda path: read_times(path, 3),
     "datetimes": lambda path: read_datetimes(path, 3),
     "table": lambda path: read_table(path, 4),
-    "csv": lambda path: read_stamped_csv(path, 6),
+    "csv": lambda path: read_stamped_csv(path, 6, is_imu=True),
     "yaml": load_yaml,
     "calibration": read_stereo_calibration,
     "calibration content": load_calibration,

@@ -15,7 +15,7 @@ from sequences.recordings import write_lines
 def test_the_accelerations_of_a_sample_may_be_nan(tmp_path: Path) -> None:
     file = tmp_path / "imu.csv"
     write_lines(file, ["1,0.1,0.2,0.3,nan,nan,nan", "2,0.1,0.2,0.3,0.0,0.0,9.81"])
-    stamps_ns, values = read_stamped_csv(file, 6)
+    stamps_ns, values = read_stamped_csv(file, 6, is_imu=True)
     assert stamps_ns.tolist() == [1, 2]
     np.testing.assert_array_equal(values[0], [0.1, 0.2, 0.3, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(values[1], [0.1, 0.2, 0.3, 0.0, 0.0, 9.81])
@@ -35,6 +35,7 @@ def test_nothing_else_may_be_nan(values: str, message: str, tmp_path: Path) -> N
     """Seven values are a pose."""
     file = tmp_path / "samples.csv"
     write_lines(file, [f"1,{values}"])
+    columns = len(values.split(","))
     with pytest.raises(InputError, match=message) as refused:
-        read_stamped_csv(file, len(values.split(",")))
+        read_stamped_csv(file, columns, is_imu=columns == 6)
     assert refused.value.where == f"{file}:1"

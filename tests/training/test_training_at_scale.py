@@ -104,7 +104,7 @@ def test_of_many_drives_some_steps_are_taken(
 ) -> None:
     """The draw depends neither on workers nor on parts; a short drive may lose all its steps."""
     monkeypatch.setattr(thinning, "MAX_FEATURES", 500)
-    monkeypatch.setattr(thinning, "STRETCH", 3)
+    monkeypatch.setattr(thinning, "STEPS_TOGETHER", 3)
     world = point_world(frames=60, landmarks=400)
     drive = drive_of(world)
     nothing = known(world, "none")

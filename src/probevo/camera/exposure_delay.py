@@ -37,6 +37,7 @@ USUAL_DELAY_S = 0.001
 """Apparent delay that rectification errors can cause: up to 0.4 ms on KITTI, whose cameras are
 triggered together."""
 ITERATIONS = 4
+"""Iterations of IRLS for the delay of a frame."""
 MIN_SHARE = 0.1
 """Smallest depth of a point at the time of the right image, as a share of that before, and least
 distance of the cameras, by which depth is known, as a share of the baseline."""

@@ -41,6 +41,7 @@ within a percent according to the true rotations."""
 MIN_RATIO = 3.0
 """Smallest |ε| in units of σ that is reported."""
 FIRST_BLOCK_FRAMES = 5
+"""Frames of the first blocks."""
 MAX_BLOCKS = 32
 """Largest number of blocks. Then pairs of blocks are merged, and further blocks have twice as many
 frames, so that memory stays constant."""

@@ -60,11 +60,13 @@ ROW_SCATTER_PX = 0.2
 """Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of
 freedom."""
 ROW_DOF = 5.0
+"""Degrees of freedom of the Student-t of a row offset."""
 CORRELATED_FEATURES = 20.0
 """Number of features that count as one: neighbours have common errors, and the same points return
 in successive frames."""
 ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
+"""Iterations of IRLS for the rows of a frame, from the estimate before it."""
 PLACES = 9
 """Columns and rows of the grid over the image on which its largest row offset is looked for; a
 polynomial of the third degree has few extrema, and they are at the border."""

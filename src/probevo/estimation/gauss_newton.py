@@ -27,6 +27,8 @@ less than a hundredth of a standard deviation."""
 MAX_PROPAGATIONS = 50
 """A bound against cycles. From a guess as good as RANSAC's it takes two or three; where few
 features agree with their noise, reweighted least squares creeps, and it may take thirty."""
+COST_ROUNDING = 1e-12
+"""Relative rise of the cost that rounding explains."""
 FIRST_DAMPING = 1e-6
 """Share of the Hessian's diagonal that is first added to it."""
 RETRY_DAMPING = 1e-3
@@ -146,7 +148,7 @@ def minimize(
         # the decrease of the cost that the quadratic model predicts.
         step_squared = float(np.sum(step * system.gradient))
         # A cost of NaN is rejected, too.
-        if not trial_system.cost <= system.cost * (1.0 + 1e-12):
+        if not trial_system.cost <= system.cost * (1.0 + COST_ROUNDING):
             if not newton and step_squared < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
                 return Optimum(

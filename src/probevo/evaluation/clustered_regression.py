@@ -24,6 +24,7 @@ from probevo.arrays import FloatArray, IntArray
 DOF = 5.0
 """Degrees of freedom of the likelihood: between those of a Gaussian and of outliers."""
 ITERATIONS = 30
+"""Iterations of IRLS, far more than it needs to converge."""
 COSINES = 0.4
 """Number of cosines that show the variance of a sum over K frames, as a multiple of K^⅔. With more
 of them, slow errors seem smaller than they are; with fewer, less is significant. This balance is
@@ -53,9 +54,9 @@ class Regression:
         return two_sided_p(value / sigma, self.dof)
 
 
-def two_sided_p(z: float, dof: float) -> float:
-    """Return the probability that Student's t with that many degrees of freedom exceeds ±z."""
-    return float(2.0 * stdtr(max(dof, 1.0), -abs(z)))
+def two_sided_p(t: float, dof: float) -> float:
+    """Return the probability that Student's t with that many degrees of freedom exceeds ±t."""
+    return float(2.0 * stdtr(max(dof, 1.0), -abs(t)))
 
 
 def regress(
@@ -88,8 +89,8 @@ def regress(
         residual = target - design @ beta
         weight = (DOF + 1.0) / (DOF + (residual / scale) ** 2)
         information = (design * weight[:, None]).T @ design / scale**2 + prior
-        gradient = design.T @ (weight * target) / scale**2
-        beta = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        right_hand_side = design.T @ (weight * target) / scale**2
+        beta = np.asarray(np.linalg.solve(information, right_hand_side), dtype=np.float64)
         residual = target - design @ beta
         scale = max(float(np.sqrt(np.mean(weight * residual**2))), 1e-12)
     # Sandwich covariance A⁻¹ B A⁻¹ at the estimate.

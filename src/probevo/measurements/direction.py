@@ -84,7 +84,7 @@ class Direction(VectorMeasurement):
         azimuth, zenith = angles_rad
         sine = math.sin(zenith) if 0.0 <= zenith <= math.pi else math.nan
         if not sine > MIN_SINE_OF_ZENITH:
-            what = f"a zenith angle of {zenith} rad has no azimuth, or is none."
+            what = f"a zenith angle of {zenith} rad has no azimuth, or is outside 0 … π."
             cure = "It is from 0, upwards, to π. Give a direction straight up or down as a vector."
             raise InputError("Direction: angles_rad", what, cure)
         shrunk = np.diag([sine, 1.0])

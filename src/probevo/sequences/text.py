@@ -12,7 +12,6 @@ from probevo.errors import InputError, brief
 from probevo.storage.files import check_regular
 
 INT64_LIMIT = 2**63
-IMU_COLUMNS = 6
 """Values of an IMU sample: angular rate and specific force."""
 MAX_TEXT_BYTES = 1_000_000_000
 """Ten hours of an IMU at 200 Hz take 0.7 GB."""
@@ -127,11 +126,14 @@ def read_table(path: Path, columns: int, *, nan_allowed: bool = False) -> FloatA
 
 
 def read_stamped_csv(
-    path: Path, columns: int, *, header: str | None = None, cure: str = ""
+    path: Path,
+    columns: int,
+    *,
+    header: str | None = None,
+    cure: str = "",
+    is_imu: bool = False,
 ) -> tuple[IntArray, FloatArray]:
     """Read a comma-separated table whose first column is a stamp in ns.
-
-    Six values are a sample of an IMU, whose specific force is NaN if it has no accelerometer.
 
     Args:
         path: the file; lines that start with # are comments.
@@ -139,6 +141,8 @@ def read_stamped_csv(
             is required.
         header: required first line; None if the file has no header, or a commented one.
         cure: how to mend that the file is missing.
+        is_imu: whether the values are angular rate and specific force of an IMU, of which the force
+            may be NaN.
 
     Returns:
         Stamps, [n], ns, and values, [n, columns].
@@ -159,7 +163,6 @@ def read_stamped_csv(
             raise InputError(where, f"this line has {len(fields)} values; expected {columns + 1}.")
         stamps.append(parse_stamp_ns(fields[0], where))
         values = fields[1 : columns + 1]
-        is_imu = columns == IMU_COLUMNS
         rows.append(_parse_sample(values, where) if is_imu else parse_floats(values, where))
     return np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, columns)
 

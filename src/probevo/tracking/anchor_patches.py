@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
-from probevo.sequences.prepared_images import NONE_SATURATED
+from probevo.sequences.prepared_images import NONE_SATURATED, SplineImage
 from probevo.tracking.anchor_patches_numba import (
     Anchors,
     PatchAlignment,
@@ -25,7 +25,6 @@ from probevo.tracking.anchor_patches_numba import (
     divide_maps,
     multiply_maps,
 )
-from probevo.tracking.spline import SplineImage
 from probevo.tracking.surface_motion import SurfaceMotion
 
 SIGMA_IN_TIME = 0.03

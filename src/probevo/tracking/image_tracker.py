@@ -306,7 +306,8 @@ class ImageTracker:
         if are_new:
             tracked = self._with_row_search(images, left_px, tracked)
         # In a rectified pair, a match lies in nearly the same row, and not to the right.
-        same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
+        same_row = self._in_same_row(left_px, tracked.pixels)
+        has_disparity = self._has_disparity(left_px, tracked.pixels)
         is_negative = same_row & ~has_disparity & (tracked.pixels[:, 0] > left_px[:, 0])
         # Where the true place is out of reach, Lucas–Kanade ends anywhere. Only a window that looks
         # alike there says that the point is seen in another row, or farther to the right.
@@ -324,8 +325,9 @@ class ImageTracker:
         rejected[NO_MATCH] += int((consistent & ~alike).sum())
         # Align with the anchor patch here, too, and check again: the alignment may have moved it.
         aligned = patches.subset(alike).align_right(images.right_spline, tracked.pixels[alike])
-        same_row, has_disparity = self._is_consistent(left_px[alike], aligned.pixels)
-        fits = np.isfinite(aligned.difference) & same_row & has_disparity
+        fits = np.isfinite(aligned.difference)
+        fits &= self._in_same_row(left_px[alike], aligned.pixels)
+        fits &= self._has_disparity(left_px[alike], aligned.pixels)
         rejected[NO_FIT] += int((~fits).sum())
         # A new feature must not repeat along its row: nothing but its neighbours tells which of
         # the places is the true one. An old one was found there before.
@@ -387,7 +389,7 @@ class ImageTracker:
             All N corners, those that the search has found at their new places.
         """
         looks_alike = tracked.difference <= _gate(self._config)
-        same_row, _ = self._is_consistent(left_px, tracked.pixels)
+        same_row = self._in_same_row(left_px, tracked.pixels)
         lost = np.flatnonzero(~(same_row & looks_alike))
         # In images of half the size there are half as many places, windows cover more, and an error
         # of the rows is half as large.
@@ -414,7 +416,7 @@ class ImageTracker:
             config=self._config,
             are_near=True,
         )
-        same_row, _ = self._is_consistent(left_px[lost], again.pixels)
+        same_row = self._in_same_row(left_px[lost], again.pixels)
         is_found = same_row & (again.difference <= _gate(self._config))
         found = lost[is_found]
         pixels = tracked.pixels.copy()
@@ -423,15 +425,17 @@ class ImageTracker:
         difference[found] = again.difference[is_found]
         return TrackedPoints(pixels, difference)
 
-    def _is_consistent(
-        self, left_px: FloatArray, right_px: FloatArray
-    ) -> tuple[BoolArray, BoolArray]:
-        """Return which matches [N, 2] lie in about the same row, and which have a disparity."""
+    def _in_same_row(self, left_px: FloatArray, right_px: FloatArray) -> BoolArray:
+        """Return which matches [N, 2] lie in about the same row."""
         row_offset_px = np.abs(right_px[:, 1] - left_px[:, 1])
         same_row: BoolArray = row_offset_px <= self._config.max_row_offset_px
+        return same_row
+
+    def _has_disparity(self, left_px: FloatArray, right_px: FloatArray) -> BoolArray:
+        """Return which matches [N, 2] have a disparity large enough for a depth."""
         disparity_px = left_px[:, 0] - right_px[:, 0]
         has_disparity: BoolArray = disparity_px >= self._config.min_disparity_px
-        return same_row, has_disparity
+        return has_disparity
 
 
 @compiled

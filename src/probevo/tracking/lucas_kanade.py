@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, Image
 from probevo.config import TrackingConfig
-from probevo.sequences.prepared_images import Pyramid as Pyramid
+from probevo.sequences.prepared_images import Pyramid
 
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix that can be tracked.

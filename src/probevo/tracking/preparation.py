@@ -16,8 +16,7 @@ import numpy as np
 from probevo.arrays import BoolArray, Image
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import WHITE, Frame
-from probevo.sequences.prepared_images import NONE_SATURATED
-from probevo.sequences.prepared_images import PreparedImages as PreparedImages
+from probevo.sequences.prepared_images import NONE_SATURATED, PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.contrast import MIN_GAIN_IN_STEREO, contrast_ratio, with_contrast_of
 from probevo.tracking.detection import strongest_corners

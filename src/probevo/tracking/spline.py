@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 
 from probevo.arrays import Image
-from probevo.sequences.prepared_images import NONE_SATURATED
-from probevo.sequences.prepared_images import SplineImage as SplineImage
+from probevo.sequences.prepared_images import NONE_SATURATED, SplineImage
 
 REACH_PX = 4
 """From here on, taps would be below 0.003."""

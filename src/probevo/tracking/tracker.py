@@ -9,9 +9,9 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import Pyramid
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.fixed_features import are_still
-from probevo.tracking.lucas_kanade import Pyramid
 from probevo.tracking.observations import FrameObservations
 from probevo.tracking.tracks import Tracks
 

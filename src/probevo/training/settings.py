@@ -14,9 +14,16 @@ from probevo.settings import Settings
 SupervisionName = Literal["gt", "sparse", "position", "loop", "none"]
 BaseName = Literal["fixed", "student-t"]
 
-PUBLISHED = ("acceleration", "turn_rate", "blur", "entropy", "frequency", "flow_variance")
+PUBLISHED_PREDICTORS = (
+    "acceleration",
+    "turn_rate",
+    "blur",
+    "entropy",
+    "frequency",
+    "flow_variance",
+)
 """The predictors of PROBE."""
-DEFAULT = (
+PROBE_PREDICTORS = (
     "blur",
     "entropy",
     "frequency",
@@ -31,7 +38,7 @@ DEFAULT = (
 )
 """Default predictors of PROBE. None needs an accelerometer, as a model that needs one is of no use
 to a recording without it."""
-KERNEL = (
+KERNEL_PREDICTORS = (
     "place",
     "last_residual",
     "age",
@@ -295,7 +302,7 @@ class TrainSettings(Settings):
         random subsets of 60 features (it took tenths of some 600), absolute α, arithmetic means.
         """
         return TrainSettings(
-            predictors=PUBLISHED,
+            predictors=PUBLISHED_PREDICTORS,
             base="fixed",
             iterations=10,
             subset=60,

@@ -157,7 +157,7 @@ def inertial_system(
     )
 
 
-def _places(at: int, p: int) -> np.ndarray:
+def _places(at: int, p: int) -> IntArray:
     """Return where the columns of the Jacobian from frame ``at`` to the next lie in the vector."""
     return np.concatenate(
         [

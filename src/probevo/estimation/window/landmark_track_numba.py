@@ -51,10 +51,8 @@ from probevo.estimation.window.equations import (
 )
 from probevo.geometry.se3_numba import adjoints
 
-# The columns of a linearised observation: ζ = (ξ_ka, ω_k) of its frame, the landmark, the rig, and
-# the error.
 _COLUMNS = FRAME + LANDMARK + RIG + 1
-"""Columns of a linearised observation: frame, landmark, rig, and the error."""
+"""Columns of a linearised observation: ζ = (ξ_ka, ω_k) of its frame, landmark, rig, error."""
 _RIG = FRAME + LANDMARK
 """The first column of the rig in a linearised observation."""
 _ERROR = _RIG + RIG

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window.window import Window
@@ -89,7 +90,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
 
 def _reduction_since_known_frame(
     before: Window, after: Window, largest_variance: float
-) -> np.ndarray:
+) -> FloatArray:
     """Return by how much a step has reduced the covariance of the previous pose, [6, 6], where both
     are relative to the oldest frame from which the motion to that pose is known.
 
@@ -141,7 +142,7 @@ def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter
     return advance
 
 
-def _log_volume(cov: np.ndarray) -> float:
+def _log_volume(cov: FloatArray) -> float:
     """Return half of log |cov|; infinite where rounding has left no covariance."""
     try:
         return float(np.log(np.diagonal(np.linalg.cholesky(cov))).sum())
@@ -149,8 +150,8 @@ def _log_volume(cov: np.ndarray) -> float:
         return np.inf
 
 
-def _positive_part(matrix: np.ndarray) -> np.ndarray:
+def _positive_part(matrix: FloatArray) -> FloatArray:
     """Return a symmetric matrix without its negative eigenvalues, which are of linearisation."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    part: np.ndarray = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    part: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return part

@@ -31,6 +31,8 @@ from probevo.noise.student_t import StudentT
 Average = Literal["arithmetic", "geometric"]
 MAX_BETA = 1e4
 """Bound of β and of 1/β: beyond it a feature contributes nothing, or dominates all others."""
+MAX_LOG_ALPHA = 700.0
+"""The exponential of a larger number would overflow."""
 
 
 class NearestNeighbors:
@@ -259,10 +261,6 @@ class NearestNeighbors:
         )
         if not fits:
             raise ValueError("its arrays do not fit together")
-
-
-MAX_LOG_ALPHA = 700.0
-"""The exponential of a larger number would overflow."""
 
 
 class _Facts(OriginFacts):

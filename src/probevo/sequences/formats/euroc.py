@@ -290,7 +290,7 @@ def _read_imu(
         accel_bias_walk_m_s3_sqrt_hz=sensor.accelerometer_random_walk,
         time_offset_s=time_offset_s,
     )
-    stamps_ns, values = read_stamped_csv(folder / "data.csv", 6)
+    stamps_ns, values = read_stamped_csv(folder / "data.csv", 6, is_imu=True)
     stream = ImuStream.checked(
         stamps_ns=calibration.on_image_clock(stamps_ns),
         gyro_rad_s=values[:, :3],

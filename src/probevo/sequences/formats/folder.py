@@ -393,7 +393,7 @@ def _read_imu(path: Path, cameras: Cameras, frames_ns: IntArray) -> ImuStream | 
         return None  # a calibration of cameras and IMU, of a recording of the cameras
     cure = "Without an IMU, leave out the section imu of calib.yaml."
     header = None if _is_of_euroc(samples) else IMU_HEADER
-    stamps_ns, values = read_stamped_csv(samples, 6, header=header, cure=cure)
+    stamps_ns, values = read_stamped_csv(samples, 6, header=header, cure=cure, is_imu=True)
     return ImuStream.checked(
         cameras.imu.on_image_clock(stamps_ns),
         gyro_rad_s=values[:, :3],

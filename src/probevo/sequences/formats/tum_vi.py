@@ -47,7 +47,7 @@ def open_tum_vi(path: Path) -> StereoRecording:
         truth = read_truth(mav / "mocap0", T_imu_cam, stamps_ns)
         samples = mav / "imu0" / "data.csv"
         if samples.exists():
-            imu_ns, values = read_stamped_csv(samples, 6)
+            imu_ns, values = read_stamped_csv(samples, 6, is_imu=True)
             imu_stream = ImuStream.checked(
                 stamps_ns=imu.on_image_clock(imu_ns),
                 gyro_rad_s=np.ascontiguousarray(values[:, :3]),

@@ -15,8 +15,8 @@ from probevo.training.gk.expectation_maximization import (
     num_static_iterations,
 )
 from probevo.training.settings import (
-    KERNEL,
     KERNEL_ONLY,
+    KERNEL_PREDICTORS,
     PROBE_ONLY,
     KernelSettings,
     TrainSettings,
@@ -107,7 +107,7 @@ _UNUSED = dict.fromkeys(PROBE_ONLY, OTHER_KIND)
 GK_TRAINER = Trainer(
     learn=learn_pruned_kernel,
     num_iterations=num_iterations,
-    default_predictors=KERNEL,
+    default_predictors=KERNEL_PREDICTORS,
     thins_steps=True,
     unused_settings=_UNUSED | {"neighbors": "Its K is --gk.neighbors."},
     check=check_kernel_settings,

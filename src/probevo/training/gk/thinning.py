@@ -18,7 +18,7 @@ FEATURES_PER_DRAWN = 4
 """Ratio of the features in the kept steps to those that a model is fitted to, which
 ``error_samples`` draws from them. Errors within a step are correlated, so some features of many
 steps are worth more than all features of a few."""
-STRETCH = 20
+STEPS_TOGETHER = 20
 """Number of consecutive steps that are kept together, since the disparity filter needs successive
 steps."""
 
@@ -55,10 +55,10 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
 
 
 def _drawn_steps(num_steps: int, share: float, rng: np.random.Generator) -> BoolArray:
-    """Draw whole stretches, about as many as make this share of the steps: [num_steps]."""
-    # One draw a stretch; the last one, which may be cut short, counts like the others.
-    is_drawn = rng.random(num_steps // STRETCH + 1) < share
-    return np.repeat(is_drawn, STRETCH)[:num_steps]
+    """Draw runs of ``STEPS_TOGETHER`` steps, about as many as make this share: [num_steps]."""
+    # One draw a run; the last one, which may be cut short, counts like the others.
+    is_drawn = rng.random(num_steps // STEPS_TOGETHER + 1) < share
+    return np.repeat(is_drawn, STEPS_TOGETHER)[:num_steps]
 
 
 def _thin(task: _Task) -> DriveOnDisk:

@@ -16,7 +16,7 @@ from probevo.training.drive import joined
 from probevo.training.probe.fitting import fit_model
 from probevo.training.probe.samples import gather_samples
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
-from probevo.training.settings import DEFAULT, KernelSettings, TrainSettings
+from probevo.training.settings import PROBE_PREDICTORS, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.trainer import Trainer, TrainingContext
 
@@ -101,7 +101,7 @@ def num_iterations(settings: TrainSettings) -> int:
 KNN_TRAINER = Trainer(
     learn=learn_nearest_neighbors,
     num_iterations=num_iterations,
-    default_predictors=DEFAULT,
+    default_predictors=PROBE_PREDICTORS,
     learns_from_positions=True,
     unused_settings={
         f"gk.{name}": "Leave it out, or choose another --kind."
