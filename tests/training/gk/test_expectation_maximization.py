@@ -245,9 +245,9 @@ def test_with_exact_truth_one_iteration_suffices() -> None:
 def test_truth_that_is_far_off_does_no_harm() -> None:
     """By 5 cm and 0.5° from frame to frame, ten times what the features are: it hardly
     counts."""
-    right = supervised_drive("gt", frames=30)
+    right = supervised_drive("gt", frames=20)
     off = (
-        np.random.default_rng(4).normal(size=(30, 6))
+        np.random.default_rng(4).normal(size=(20, 6))
         * np.r_[np.full(3, 0.05), np.full(3, np.deg2rad(0.5))]
     )
     poses = right.supervision.T_world_cam @ pv.geometry.se3.exp(off)
