@@ -179,7 +179,7 @@ def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
 ) -> None:
     page = page_of(make_run(30, outside=outside), tmp_path)
     assert ('aria-label="Out of domain"' in page) is timeline
-    assert ("nothing like 11.0 % of the features" in page) is warned
+    assert ("11.0 % of the features solved with lie outside" in page) is warned
     assert ("Train it on recordings like this one" in page) is warned
     parsed = Balance()
     parsed.feed(page)
