@@ -59,7 +59,7 @@ class PointNoise(Settings):
         0.0,
         ge=-1,
         le=1,
-        description="Correlation of the errors in left and right image, as of a drifting track.",
+        description="Correlation of left and right errors, such as those of a drifting track.",
     )
     dof: float | None = Field(
         None,

@@ -88,7 +88,8 @@ def _rotated_as_predicted(
 ) -> BoolArray:
     """Return which of the N features are seen within an angle of where the rotation alone takes
     them (PROBE V), [N]."""
-    if limit_deg == 0.0:  # off, the default: it needs a good predicted rotation, as of a gyro
+    # Off by default: it needs a good predicted rotation, such as that of a gyro.
+    if limit_deg == 0.0:
         return np.ones(len(tracks), np.bool_)
     prev_rays = camera.unit_rays(tracks.prev_px)
     curr_rays = camera.unit_rays(tracks.curr_px)

@@ -28,7 +28,7 @@ MIN_UNPREDICTED = 2
 agree by chance."""
 AGAINST_FACTOR = 2.0
 """Multiple of RANSAC's threshold from which on a track contradicts a motion that is not predicted:
-errors that all features share, as of a flexing rig, make no rival."""
+errors that all features share, such as those of a flexing rig, make no rival."""
 CONFIDENCE = 0.9999
 """Confidence of RANSAC, by which it takes twice as many samples as usual: less than half of the
 tracks agree on a rival."""

@@ -85,24 +85,24 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
     roll = float(np.rad2deg(found.values[1] / camera.fv_px))
     focal = 100.0 * float(found.values[2] / camera.fv_px)
     meanings = (
-        ("rows, all", 1.0, f"as of a right camera pitched by {pitch:+.3f}°"),
-        ("rows, at the side", x_edge, f"as of a right camera rolled by {roll:+.3f}°"),
+        ("rows, all", 1.0, f"as if the right camera were pitched by {pitch:+.3f}°"),
+        ("rows, at the side", x_edge, f"as if the right camera were rolled by {roll:+.3f}°"),
         (
             "rows, at the bottom",
             y_edge,
-            f"as of a focal length that is {focal:+.3f} % longer on the right",
+            f"as if the focal length were {focal:+.3f} % longer on the right",
         ),
         ("rows, bend across", x_edge**2, "like uncorrected lens distortion"),
         (
             "rows, in the corner",
             x_edge * y_edge,
-            "like a right camera that is turned inwards, or a lens",
+            "as if the right camera were turned inwards, or by a lens",
         ),
         ("rows, bend down", y_edge**2, "like uncorrected lens distortion"),
         (
             "rows, by the radius",
             y_edge * (x_edge**2 + y_edge**2),
-            "as of lenses that distort differently",
+            "as if the two lenses distorted differently",
         ),
     )
     # Each as the error in px that it makes at the edge of the image.
