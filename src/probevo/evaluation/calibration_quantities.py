@@ -96,7 +96,7 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
         (
             "rows, in the corner",
             x_edge * y_edge,
-            "as if the right camera were turned inwards, or by a lens",
+            "as if the right camera were turned inwards; a lens may look alike",
         ),
         ("rows, bend down", y_edge**2, "like uncorrected lens distortion"),
         (
