@@ -12,7 +12,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.ransac import find_consensus
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
@@ -57,10 +57,10 @@ def main() -> None:
     noise = StudentT().predict(np.zeros((COUNT, 0)))
 
     # This tolerance is never reached, so that all ten iterations are taken.
-    gauss_newton.CONVERGED_BELOW = 0.0
+    levenberg_marquardt.CONVERGED_BELOW = 0.0
 
     # Measure the iterations inside of the solve.
-    minimize = gauss_newton.minimize
+    minimize = levenberg_marquardt.minimize
     iterations_ms = []
 
     def timed(*arguments: object, **keywords: object) -> object:
@@ -69,7 +69,7 @@ def main() -> None:
         iterations_ms.append(1e3 * (perf_counter() - start))
         return result
 
-    gauss_newton.minimize = timed
+    levenberg_marquardt.minimize = timed
     guess = find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4)).T_curr_prev
     whole_ms = median_ms(
         lambda: solve_reprojection(

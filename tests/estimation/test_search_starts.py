@@ -12,7 +12,6 @@ from probevo.camera.stereo import StereoCamera
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.search_starts import (
     REACH_PX,
-    coarse_rotation,
     rotated_starts,
     track_from_best_start,
 )
@@ -20,6 +19,7 @@ from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking import FeatureMatcher, ImageTracker, Tracked, TrackingState, Tracks
 from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.image_rotation import coarse_rotation
 from probevo.tracking.image_tracker import LEFT_THE_VIEW, Followed
 from probevo.tracking.preparation import prepare_images
 

@@ -282,9 +282,9 @@ def _imu_warnings(sequence: Sequence) -> Rows:
 
 def _order_warnings(sequence: Sequence) -> Rows:
     """Warn of images that repeat, and of right ones that belong to other frames than the left."""
-    from probevo.estimation.frozen_images import are_repeated
     from probevo.output.run_warnings import repetition_warning, timing_warning
     from probevo.tracking.pair_timing import PairTiming
+    from probevo.tracking.repeated_images import are_repeated
 
     timing = PairTiming(RunConfig().tracking)
     num_frames = 0

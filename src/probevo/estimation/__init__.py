@@ -1,5 +1,5 @@
-"""Measurements → motion: RANSAC, Gauss–Newton, covariances, and the estimates that are kept over
-frames.
+"""Measurements → motion: RANSAC, Levenberg–Marquardt, covariances, and the estimates that are kept
+over frames.
 
 A step is solved by these, from the outermost to the innermost:
 
@@ -7,5 +7,5 @@ A step is solved by these, from the outermost to the innermost:
     VisualEstimator.estimate           → VisualMotion          RANSAC, noise, accepted or rejected
     TwoFrameEstimator.estimate         → TwoFrameEstimate      one solve, and the disparity filter
     solve_reprojection                 → ReprojectionSolution  weights and covariance
-    gauss_newton.minimize              → Optimum               any measurements of any variables
+    levenberg_marquardt.minimize       → Optimum               any measurements of any variables
 """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.geometry import se3
@@ -238,12 +238,12 @@ class PoseFilter:
         # Solve, from several headings if it is unknown, and take the least cost.
         free = prior.variables
         found = [
-            gauss_newton.minimize([prior, *measurements], start, free)
+            levenberg_marquardt.minimize([prior, *measurements], start, free)
             for start in self._starts(pose)
         ]
         optimum = found[0] if len(found) == 1 else min(found, key=_cost)
         # The posterior, split again into the common-mode part and the rest.
-        information = gauss_newton.information(optimum.measurements, optimum.values, free)
+        information = levenberg_marquardt.information(optimum.measurements, optimum.values, free)
         cov = scaled_inverse(information)
         # s⁺ = A s with A = P⁺ P⁻¹; of P⁺, what is not s⁺ s⁺ᵀ is the pose's own.
         A = cov @ scaled_inverse(prior_cov)
@@ -327,6 +327,6 @@ class _JointPrior(VectorMeasurement):
         return tuple(found)
 
 
-def _cost(optimum: gauss_newton.Optimum) -> float:
+def _cost(optimum: levenberg_marquardt.Optimum) -> float:
     """Return the cost of all measurements where a solve ended."""
     return sum(one.linearize(optimum.values).cost for one in optimum.measurements)

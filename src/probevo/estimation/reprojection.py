@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.scaled_inverse import inverse_or_nan
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
@@ -162,7 +162,7 @@ def solve_reprojection(
     if unknown is not None:
         values[unknown.variable] = np.zeros(DOF) if eta is None else eta
         free.append(unknown.variable)
-    optimum = gauss_newton.minimize(
+    optimum = levenberg_marquardt.minimize(
         [observations, *others], values, free, max_iterations=max_iterations if free else 0
     )
     # Evaluate the features at the optimum, with the covariances that the solve ended with.
@@ -174,7 +174,7 @@ def solve_reprojection(
     information = features.information
     # The features' information is that of an M-estimate; other measurements add their own.
     if others:
-        of_others = gauss_newton.information(others, optimum.values, [curr])
+        of_others = levenberg_marquardt.information(others, optimum.values, [curr])
         hessian[:6, :6] += of_others
         information[:6, :6] += of_others
     # The inverse of the Fisher information over (ξ, η): its block of ξ is marginalised over η.

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.matched_rotation import matched_rotation
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.estimation.rival_motion import (
@@ -22,6 +20,7 @@ from probevo.estimation.rival_motion import (
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import ImageTracker, Tracked, Tracker, TrackingState
+from probevo.tracking.image_rotation import coarse_rotation, matched_rotation
 from probevo.tracking.image_tracker import Followed
 
 REACH_PX = 30.0
@@ -35,8 +34,6 @@ NEAR_ROLL_RAD = 0.1
 MIN_KEPT = 0.5
 """If a smaller share of the previous features that are still in view is found, the search may have
 started in a wrong place."""
-REDUCTION = 8
-"""Factor by which images are reduced for the coarse rotation."""
 
 
 def rotated_starts(
@@ -73,24 +70,6 @@ def _with_rotations(
         if shift_px.max() >= NEAR_PX or abs(difference[2]) >= NEAR_ROLL_RAD:
             starts.append(se3.from_parts(C_curr_prev, T_curr_prev[:3, 3]))
     return starts
-
-
-def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
-    """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
-    correlation)."""
-    # In small images, a rotation by several degrees is a shift by a few pixels.
-    size = max(image.shape[1] // REDUCTION, 2), max(image.shape[0] // REDUCTION, 2)
-    prev_small, small = (
-        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        for each in (prev_image, image)
-    )
-    # A window function, since phase correlation takes the images as periodic.
-    window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
-    (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
-    # A shift down by dv is a rotation about −x, a shift to the right by du one about +y.
-    angle = REDUCTION * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
-    rotation: FloatArray = so3.exp(angle)
-    return rotation
 
 
 class _Agreement(NamedTuple):

@@ -25,7 +25,7 @@ from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rolling_shutter import Twists, change_sensitivity
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -358,5 +358,5 @@ def _held_by(
         return of_images
     values = {variable: np.eye(4) for one in priors.measurements for variable in one.variables}
     values[priors.curr] = solution.T_curr_prev
-    information = gauss_newton.information(priors.measurements, values, [priors.curr])
+    information = levenberg_marquardt.information(priors.measurements, values, [priors.curr])
     return of_images.times(np.eye(6) - solution.cov @ information)

@@ -1,8 +1,8 @@
 """The measurement protocol: a constraint on some variables, with its own covariance and robust
 loss.
 
-Every sensor enters the estimate through it. The solver (``estimation.gauss_newton``) knows no
-sensor by name: it sums the normal equations of all measurements. A new sensor is one class; most
+Every sensor enters the estimate through it. The solver (``estimation.levenberg_marquardt``) knows
+no sensor by name: it sums the normal equations of all measurements. A new sensor is one class; most
 need only a residual and its Jacobians (``VectorMeasurement``).
 """
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
@@ -76,5 +76,5 @@ def tested_against(
         else one
         for one in measurements
     ]
-    optimum = gauss_newton.minimize([motion, *weighed], values, [motion.curr])
+    optimum = levenberg_marquardt.minimize([motion, *weighed], values, [motion.curr])
     return weighed, optimum.values[motion.curr] @ se3.inverse(T_prev_world)

@@ -1,9 +1,11 @@
-"""The rotation between two images from matched descriptors, for a camera that has turned by
-any angle.
+"""The rotation between two images, from which the tracking of a camera that turned fast starts.
 
-Lucas–Kanade follows a feature for a few tens of pixels, and a window that turns by about ten
-degrees. Descriptors (ORB: Rublee et al., ICCV 2011) find it anywhere, turned by any angle, but less
-precisely: they say where tracking starts.
+``coarse_rotation`` takes the shift of the whole image. It always finds one, and does not see a turn
+about the optical axis.
+
+``matched_rotation`` matches descriptors (ORB: Rublee et al., ICCV 2011). Lucas–Kanade follows a
+feature for a few tens of pixels, and a window that turns by about ten degrees. Descriptors find it
+anywhere, turned by any angle, but less precisely.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import so3
 
+COARSE_REDUCTION = 8
+"""Factor by which images are reduced for the coarse rotation."""
 NUM_FEATURES = 500
 """Features per image."""
 USUAL_WIDTH_PX = 640
@@ -30,6 +34,24 @@ NEAR_RAD = 0.06
 point at 3 m moves by so much when the camera moves by 0.2 m."""
 MIN_AGREEING = 12
 """Matches that have to agree. Wrong ones lie anywhere, of which a percent are near by chance."""
+
+
+def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
+    """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
+    correlation)."""
+    # In small images, a rotation by several degrees is a shift by a few pixels.
+    size = max(image.shape[1] // COARSE_REDUCTION, 2), max(image.shape[0] // COARSE_REDUCTION, 2)
+    prev_small, small = (
+        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        for each in (prev_image, image)
+    )
+    # A window function, since phase correlation takes the images as periodic.
+    window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
+    (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
+    # A shift down by dv is a rotation about −x, a shift to the right by du one about +y.
+    angle = COARSE_REDUCTION * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
+    rotation: FloatArray = so3.exp(angle)
+    return rotation
 
 
 def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray | None:

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from probevo.arrays import FloatArray
-from probevo.estimation import gauss_newton
+from probevo.estimation import levenberg_marquardt
 from probevo.geometry import se3
 from probevo.measurements.base import (
     Linearization,
@@ -115,7 +115,7 @@ def scipy_optimum(
 @pytest.mark.parametrize("seed", range(5))
 def test_two_poses_and_three_measurements_end_where_scipy_ends(seed: int) -> None:
     measurements, start = two_poses(np.random.default_rng(seed), sigma=1e-3)
-    optimum = gauss_newton.minimize(measurements, start, [FIRST, SECOND])
+    optimum = levenberg_marquardt.minimize(measurements, start, [FIRST, SECOND])
     expected = scipy_optimum(measurements, start)
     assert optimum.converged
     for variable in (FIRST, SECOND):
@@ -127,9 +127,9 @@ def test_two_poses_and_three_measurements_end_where_scipy_ends(seed: int) -> Non
 def test_converged_is_within_a_hundredth_of_a_standard_deviation(seed: int) -> None:
     """Where the noise is large, and the problem far from linear."""
     measurements, start = two_poses(np.random.default_rng(seed), sigma=0.1)
-    optimum = gauss_newton.minimize(measurements, start, [FIRST, SECOND])
+    optimum = levenberg_marquardt.minimize(measurements, start, [FIRST, SECOND])
     expected = scipy_optimum(measurements, start)
-    information = gauss_newton.information(measurements, optimum.values, [FIRST, SECOND])
+    information = levenberg_marquardt.information(measurements, optimum.values, [FIRST, SECOND])
     errors = [
         se3.log(optimum.values[variable] @ se3.inverse(expected[variable]))
         for variable in (FIRST, SECOND)
@@ -146,21 +146,23 @@ def test_information_is_the_sum_over_the_variables_asked_for() -> None:
     expected = of_both.copy()
     expected[:6, :6] += of_first
     expected[6:, 6:] += of_second
-    found = gauss_newton.information(measurements, values, [FIRST, SECOND])
+    found = levenberg_marquardt.information(measurements, values, [FIRST, SECOND])
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-    swapped = gauss_newton.information(measurements, values, [SECOND, FIRST])
+    swapped = levenberg_marquardt.information(measurements, values, [SECOND, FIRST])
     order = np.r_[6:12, 0:6]
     np.testing.assert_allclose(swapped, expected[np.ix_(order, order)], rtol=1e-12)
-    of_one = gauss_newton.information(measurements, values, [SECOND])
+    of_one = levenberg_marquardt.information(measurements, values, [SECOND])
     np.testing.assert_allclose(of_one, expected[6:, 6:], rtol=1e-12)
-    np.testing.assert_array_equal(gauss_newton.information([], values, [FIRST]), np.zeros((6, 6)))
+    np.testing.assert_array_equal(
+        levenberg_marquardt.information([], values, [FIRST]), np.zeros((6, 6))
+    )
 
 
 def test_a_variable_that_is_not_free_stays_as_it_is() -> None:
     measurements, start = two_poses(np.random.default_rng(7), sigma=1e-3)
-    optimum = gauss_newton.minimize(measurements, start, [SECOND])
+    optimum = levenberg_marquardt.minimize(measurements, start, [SECOND])
     np.testing.assert_array_equal(optimum.values[FIRST], start[FIRST])
-    again = gauss_newton.minimize([measurements[1], measurements[2]], start, [SECOND])
+    again = levenberg_marquardt.minimize([measurements[1], measurements[2]], start, [SECOND])
     error = se3.log(optimum.values[SECOND] @ se3.inverse(again.values[SECOND]))
     np.testing.assert_allclose(error, 0.0, atol=1e-12)
 
@@ -177,11 +179,11 @@ def test_a_plain_vector_is_solved_by_linear_least_squares() -> None:
         parts.append(Linear(A, z, covariance))
         information += A.T @ np.linalg.inv(covariance) @ A
         moment += A.T @ np.linalg.solve(covariance, z)
-    optimum = gauss_newton.minimize(parts, {VECTOR: np.zeros(3)}, [VECTOR])
+    optimum = levenberg_marquardt.minimize(parts, {VECTOR: np.zeros(3)}, [VECTOR])
     assert optimum.converged
     expected = np.linalg.solve(information, moment)
     np.testing.assert_allclose(optimum.values[VECTOR], expected, rtol=1e-9)
-    found = gauss_newton.information(parts, optimum.values, [VECTOR])
+    found = levenberg_marquardt.information(parts, optimum.values, [VECTOR])
     np.testing.assert_allclose(found, information, rtol=1e-12)
 
 
@@ -191,8 +193,8 @@ def test_poses_and_vectors_are_solved_together() -> None:
     of_poses, start = two_poses(rng, sigma=1e-3)
     of_vector = Linear(np.eye(2), np.array([0.3, -0.7]), 0.01 * np.eye(2))
     values = {**start, VECTOR: np.zeros(2)}
-    both = gauss_newton.minimize([*of_poses, of_vector], values, [VECTOR, SECOND, FIRST])
-    poses_only = gauss_newton.minimize(of_poses, start, [FIRST, SECOND])
+    both = levenberg_marquardt.minimize([*of_poses, of_vector], values, [VECTOR, SECOND, FIRST])
+    poses_only = levenberg_marquardt.minimize(of_poses, start, [FIRST, SECOND])
     np.testing.assert_allclose(both.values[VECTOR], [0.3, -0.7], atol=1e-9)
     for variable in (FIRST, SECOND):
         error = se3.log(both.values[variable] @ se3.inverse(poses_only.values[variable]))
@@ -232,7 +234,7 @@ class Scalar:
 
 def test_no_iterations_keep_the_values_and_propagate_there() -> None:
     start = {VECTOR: np.array([2.0])}
-    optimum = gauss_newton.minimize([Scalar()], start, [VECTOR], max_iterations=0)
+    optimum = levenberg_marquardt.minimize([Scalar()], start, [VECTOR], max_iterations=0)
     np.testing.assert_array_equal(optimum.values[VECTOR], [2.0])
     assert optimum.iterations == 0
     assert optimum.converged
@@ -241,11 +243,11 @@ def test_no_iterations_keep_the_values_and_propagate_there() -> None:
 
 def test_covariances_are_propagated_where_the_solve_ends() -> None:
     """Anew once the values have moved by more than a standard deviation, and not for less."""
-    far = gauss_newton.minimize([Scalar()], {VECTOR: np.zeros(1)}, [VECTOR])
+    far = levenberg_marquardt.minimize([Scalar()], {VECTOR: np.zeros(1)}, [VECTOR])
     assert far.converged
     assert far.values[VECTOR] == pytest.approx(5.0, abs=1e-5)
     assert far.measurements == (Scalar(sigma=pytest.approx(1.5, abs=1e-5), propagations=2),)
-    near = gauss_newton.minimize([Scalar()], {VECTOR: np.array([4.5])}, [VECTOR])
+    near = levenberg_marquardt.minimize([Scalar()], {VECTOR: np.array([4.5])}, [VECTOR])
     assert near.converged
     assert near.measurements == (Scalar(sigma=1.45, propagations=1),)
 
@@ -267,7 +269,7 @@ class Creeping(Scalar):
 def test_a_solve_that_creeps_arrives() -> None:
     """In as many propagations as it takes, each more than 1 σ from the last one."""
     start = {VECTOR: np.zeros(1)}
-    optimum = gauss_newton.minimize([Creeping()], start, [VECTOR], max_iterations=50)
+    optimum = levenberg_marquardt.minimize([Creeping()], start, [VECTOR], max_iterations=50)
     assert optimum.converged
     assert optimum.values[VECTOR] == pytest.approx(30.0)
 
@@ -284,7 +286,7 @@ class Atan(VectorMeasurement):
 
 
 def test_a_step_that_raises_the_cost_is_damped() -> None:
-    optimum = gauss_newton.minimize(
+    optimum = levenberg_marquardt.minimize(
         [Atan(0.01 * np.eye(1))], {VECTOR: np.array([3.0])}, [VECTOR], max_iterations=50
     )
     assert optimum.converged
@@ -331,11 +333,11 @@ class Groups:
         return Outcome(squared=np.zeros(1), weight=np.ones(1), gated=np.zeros(1, np.bool_))
 
 
-def solved(newton_hessian: float | None) -> tuple[gauss_newton.Optimum, int]:
+def solved(newton_hessian: float | None) -> tuple[levenberg_marquardt.Optimum, int]:
     """Where the groups end from x = 3, and how often Newton's Hessian was asked for."""
     groups = Groups(newton_hessian)
     start = {VECTOR: np.array([3.0])}
-    optimum = gauss_newton.minimize([groups], start, [VECTOR], max_iterations=100)
+    optimum = levenberg_marquardt.minimize([groups], start, [VECTOR], max_iterations=100)
     return optimum, groups.num_newton
 
 
@@ -371,14 +373,14 @@ def test_what_nothing_constrains_does_not_converge() -> None:
     """Of two numbers, the measurement fixes the first only: the values stay where they were."""
     measurement = Linear(np.array([[1.0, 0.0]]), np.array([2.0]), np.eye(1))
     start = {VECTOR: np.array([0.5, 0.25])}
-    optimum = gauss_newton.minimize([measurement], start, [VECTOR])
+    optimum = levenberg_marquardt.minimize([measurement], start, [VECTOR])
     assert not optimum.converged
     np.testing.assert_array_equal(optimum.values[VECTOR], start[VECTOR])
 
 
 def test_a_solve_that_is_cut_short_has_not_converged() -> None:
     measurements, start = two_poses(np.random.default_rng(10), sigma=0.1)
-    optimum = gauss_newton.minimize(measurements, start, [FIRST, SECOND], max_iterations=1)
+    optimum = levenberg_marquardt.minimize(measurements, start, [FIRST, SECOND], max_iterations=1)
     assert optimum.iterations == 1
     assert not optimum.converged
 
@@ -386,6 +388,6 @@ def test_a_solve_that_is_cut_short_has_not_converged() -> None:
 def test_the_start_is_left_as_it_was() -> None:
     measurements, start = two_poses(np.random.default_rng(11), sigma=0.1)
     before = {variable: value.copy() for variable, value in start.items()}
-    gauss_newton.minimize(measurements, start, [FIRST, SECOND])
+    levenberg_marquardt.minimize(measurements, start, [FIRST, SECOND])
     for variable, value in before.items():
         np.testing.assert_array_equal(start[variable], value)

@@ -6,8 +6,8 @@ import pytest
 
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.matched_rotation import matched_rotation
 from probevo.geometry import so3
+from probevo.tracking.image_rotation import matched_rotation
 
 CAMERA = StereoCamera.centered(400.0, 0.1, (480, 360))
 K = np.array([[400.0, 0.0, CAMERA.cu_px], [0.0, 400.0, CAMERA.cv_px], [0.0, 0.0, 1.0]])
