@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -45,29 +47,39 @@ REAL_TRAINING = {
 another day, with another calibration."""
 
 
-def noises(folder: Path, world: str, recordings: list[Path]) -> dict[str, str]:
-    """Return the noise models by their names, and learn those that the folder does not have."""
-    found = {UNTRAINED: UNTRAINED}
-    for name, settings in TRAININGS.items():
-        file = folder / f"{world} {name}.safetensors".replace(" ", "-")
-        if not file.is_file():
-            pv.train_model(recordings, settings, file)
-        found[name] = str(file)
-    return found
+def noises(folder: Path, world: str, recordings: Callable[[], list[Path]]) -> dict[str, str]:
+    """Return the noise models by their names, and learn those that the folder does not have.
+
+    Args:
+        folder: that of the learned models.
+        world: what they are learned from, for the names of their files.
+        recordings: gives what to learn from; called only if a model is missing.
+    """
+    files = {name: folder / f"{world} {name}.safetensors".replace(" ", "-") for name in TRAININGS}
+    missing = [name for name, file in files.items() if not file.is_file()]
+    if missing:
+        learn_from = recordings()
+        for name in missing:
+            pv.train_model(learn_from, TRAININGS[name], files[name])
+    return {UNTRAINED: UNTRAINED} | {name: str(file) for name, file in files.items()}
 
 
-def rendered_streets(folder: Path) -> list[Path]:
-    """Render the streets to learn from."""
-    for number, config in enumerate(TRAINING_STREETS):
-        write_scene(config, folder / str(number), jobs=2)
-    return [folder / str(number) for number in range(len(TRAINING_STREETS))]
+def learned_from_streets(models: Path) -> dict[str, str]:
+    """Return the noise models that are learned from rendered streets, by their names."""
+    with tempfile.TemporaryDirectory() as folder:
+
+        def streets() -> list[Path]:
+            """Render the streets to learn from."""
+            for number, config in enumerate(TRAINING_STREETS):
+                write_scene(config, Path(folder) / str(number), jobs=2)
+            return [Path(folder) / str(number) for number in range(len(TRAINING_STREETS))]
+
+        return noises(models, "rendered", streets)
 
 
 def compare_rendered(models: Path) -> None:
     """Learn from rendered streets, and print the table of others."""
-    with tempfile.TemporaryDirectory() as folder:
-        names = noises(models, "rendered", rendered_streets(Path(folder)))
-    for name, noise in names.items():
+    for name, noise in learned_from_streets(models).items():
         print(head(name), flush=True)
         show_scenes(noise)
 
@@ -76,7 +88,7 @@ def compare_real(models: Path) -> None:
     """Learn from real recordings, and print the rows of those that were left out."""
     for test, recordings in REAL_TRAINING.items():
         path, first = RECORDINGS[test]
-        for name, noise in noises(models, test, recordings).items():
+        for name, noise in noises(models, test, partial(list, recordings)).items():
             print(head(name), flush=True)
             show(test, pv.open_sequence(path), first, noise)
 

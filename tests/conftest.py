@@ -74,10 +74,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Networks consist of hundreds of operations that take JAX longer to compile than to compute.
     Without its emitters of fused operations it compiles them in two thirds of the time, without
-    LLVM's optimisations in two fifths of that.
+    LLVM's optimisations in two fifths of that, and undivided in a fifteenth less.
     """
-    quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
-    os.environ.setdefault("XLA_FLAGS", quick)
+    quick = (
+        "--xla_cpu_use_fusion_emitters=false",
+        "--xla_backend_optimization_level=0",
+        "--xla_cpu_parallel_codegen_split_count=1",
+    )
+    os.environ.setdefault("XLA_FLAGS", " ".join(quick))
     if hasattr(config, "cache"):  # unless started with -p no:cacheprovider
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

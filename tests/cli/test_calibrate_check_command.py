@@ -26,7 +26,7 @@ from probevo.sequences.imu_calibration import ImuCalibration
 from sequences.recordings import write_tracks
 from worlds import CAMERA, FRAME_NS, START_NS, drive
 
-FRAMES = 60
+FRAMES = 48
 CALIBRATION = ImuCalibration(se3.exp(np.array([0.1, 0.2, -0.3, 0.3, -1.2, 0.5])), 1e-4, 0.02)
 
 

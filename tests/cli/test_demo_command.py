@@ -29,7 +29,7 @@ RUNS = [
 
 def put_a_wall(_: SceneConfig, folder: Path) -> Path:
     """In place of rendering."""
-    return write_wall(folder)
+    return write_wall(folder, 6)
 
 
 @pytest.fixture(scope="module")

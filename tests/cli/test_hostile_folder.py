@@ -71,7 +71,7 @@ def hostile(tmp_path: Path) -> Path:
     folder = tmp_path / "data"
     folder.mkdir()
     world = simulate_points(
-        PointConfig(radius_m=3.0, landmarks=400), duration_s=1.0, rng=np.random.default_rng(0)
+        PointConfig(radius_m=3.0, landmarks=400), duration_s=0.5, rng=np.random.default_rng(0)
     )
     for name in ("drive", "other"):
         write_points(world, folder / f"{name}.npz")

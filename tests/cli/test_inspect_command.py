@@ -1,6 +1,10 @@
 """``probevo inspect``: the page and the pictures of a frame, of a model, and of both."""
 
+import io
 import re
+import shutil
+from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -9,6 +13,7 @@ import pytest
 
 from cli.rendering import HEIGHT_PX, WIDTH_PX, write_wall
 from output.pages import Balance
+from output.undrawn import figures_undrawn
 from probevo.cli.main import main
 from probevo.output.inspection.feature_pictures import enlargement, legend_height
 from probevo.predictors import PREDICTORS
@@ -49,6 +54,23 @@ def inspect(*words: str | Path) -> int:
     return main(["inspect", *map(str, words)])
 
 
+@dataclass(frozen=True)
+class Inspected:
+    """A frame of the wall as its model sees it, and what the command said."""
+
+    out: Path
+    printed: str
+
+
+@pytest.fixture(scope="module")
+def inspected(wall: Path, wall_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Inspected:
+    out = tmp_path_factory.mktemp("inspected")
+    printed = io.StringIO()
+    with figures_undrawn(), redirect_stdout(printed):
+        assert inspect(wall, "--model", wall_model, "--out", out) == 0
+    return Inspected(out, printed.getvalue())
+
+
 def page_of(out: Path) -> str:
     """The page; checks that it is well formed and needs no other file."""
     html = (out / "inspection.html").read_text()
@@ -75,20 +97,18 @@ def explained_heads(printed: str) -> set[str]:
     return {head.lower() for head in re.findall(r"^([A-Z][a-z ]+): ", printed, re.MULTILINE)}
 
 
-def test_a_frame_as_a_model_sees_it(
-    wall: Path, wall_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert inspect(wall, "--model", wall_model, "--out", tmp_path) == 0
-    printed = capsys.readouterr().out
-    assert str(tmp_path / "inspection.html") in printed
+def test_a_frame_as_a_model_sees_it(inspected: Inspected) -> None:
+    out = inspected.out
+    printed = inspected.printed
+    assert str(out / "inspection.html") in printed
     rows = {line.split()[0]: line for line in printed.splitlines() if "±" in line}
     assert list(rows) == DEFAULT_COLUMNS
-    pictures = {path.stem: path for path in (tmp_path / "frame-4").iterdir()}
+    pictures = {path.stem: path for path in (out / "frame-4").iterdir()}
     assert set(pictures) == {"weight", "distance", *DEFAULT_COLUMNS}
     factor = enlargement((WIDTH_PX, HEIGHT_PX))
     shape = (factor * HEIGHT_PX + legend_height(factor * WIDTH_PX), factor * WIDTH_PX, 3)
     assert {cv2.imread(str(path)).shape for path in pictures.values()} == {shape}
-    html = page_of(tmp_path)
+    html = page_of(out)
     shown = titles(html)
     for title in (
         "Weights in this frame",
@@ -105,15 +125,15 @@ def test_a_frame_as_a_model_sees_it(
     assert explained_heads(printed) == {"training", "this frame", "undefined"}
 
 
-def test_the_same_bytes_again(wall: Path, wall_model: Path, tmp_path: Path) -> None:
-    for out in ("a", "b"):
-        assert inspect(wall, "--model", wall_model, "--frame", "2", "--out", tmp_path / out) == 0
-    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
+def test_the_same_bytes_again(
+    wall: Path, wall_model: Path, inspected: Inspected, tmp_path: Path
+) -> None:
+    """By default it is the frame in the middle."""
+    out = inspected.out
+    assert inspect(wall, "--model", wall_model, "--frame", "4", "--out", tmp_path) == 0
+    files = sorted(path.relative_to(out) for path in out.rglob("*.*"))
     assert len(files) == 3 + len(DEFAULT_COLUMNS)
-    assert all(
-        (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-        for file in files
-    )
+    assert all((tmp_path / file).read_bytes() == (out / file).read_bytes() for file in files)
 
 
 def test_a_model_alone(
@@ -131,15 +151,13 @@ def test_a_model_alone(
 
 
 def test_predictors_alone_replace_what_an_earlier_inspection_left(
-    wall: Path, wall_model: Path, tmp_path: Path
+    wall: Path, inspected: Inspected, tmp_path: Path
 ) -> None:
-    assert inspect(wall, "--model", wall_model, "--frame", "1", "--out", tmp_path) == 0
-    assert (
-        inspect(wall, "--predictors", "blur", "turn_rate", "--frame", "1", "--out", tmp_path) == 0
-    )
+    out = shutil.copytree(inspected.out, tmp_path / "out")
+    assert inspect(wall, "--predictors", "blur", "turn_rate", "--frame", "4", "--out", out) == 0
     names = {"blur", "turn_rate", "turn_rate_x", "turn_rate_y", "turn_rate_z"}
-    assert {path.stem for path in (tmp_path / "frame-1").iterdir()} == names
-    html = page_of(tmp_path)
+    assert {path.stem for path in (out / "frame-4").iterdir()} == names
+    html = page_of(out)
     assert titles(html) == ["Its features", "The predictors in figures"]
     assert (
         "The same for all features, and so not drawn: turn_rate_x, turn_rate_y, turn_rate_z,"

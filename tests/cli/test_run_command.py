@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from cli.rendering import true_poses, write_wall
+from output.undrawn import figures_undrawn
 from probevo import __version__
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
 from probevo.errors import InputError
@@ -175,6 +177,16 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
+@pytest.fixture(scope="module")
+def shorter_path(wall: Path, tmp_path_factory: pytest.TempPathFactory) -> FloatArray:
+    """The smoothed path of a run of five frames with a window of three."""
+    out = tmp_path_factory.mktemp("shorter")
+    words = ["--window.frames", "3", "--max-frames", "5"]
+    with figures_undrawn():
+        assert main(["run", str(wall), "--out", str(out), *words]) == 0
+    return read_tum(out / "trajectory.smoothed.tum")[1]
+
+
 @pytest.mark.parametrize(
     "place",
     [
@@ -187,11 +199,13 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     ],
 )
 def test_ctrl_c_between_a_step_and_its_records_leaves_files_that_agree(
-    place: str, wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: str,
+    wall: Path,
+    shorter_path: FloatArray,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The odometry is then a frame ahead of some records; the path is that of a shorter run."""
-    words = ["--window.frames", "3", "--max-frames", "5"]
-    assert main(["run", str(wall), "--out", str(tmp_path / "whole"), *words]) == 0
     module, name, method = place.rsplit(".", 2)
     owner = getattr(import_module(module), name)
     add = getattr(owner, method)
@@ -213,9 +227,8 @@ def test_ctrl_c_between_a_step_and_its_records_leaves_files_that_agree(
     _, live = read_tum(out / "trajectory.tum")
     _, smoothed = read_tum(out / "trajectory.smoothed.tum")
     assert len(smoothed) == len(live) == len(read_motions(out))
-    _, expected = read_tum(tmp_path / "whole" / "trajectory.smoothed.tum")
     # Poses that were still in the window may be improved by the frame that is not recorded.
-    np.testing.assert_allclose(smoothed[:5], expected[: len(smoothed)], atol=0.02)
+    np.testing.assert_allclose(smoothed[:5], shorter_path[: len(smoothed)], atol=0.02)
 
 
 def test_a_terminal_shows_frames_per_second(
@@ -380,9 +393,7 @@ def test_where_not_all_files_can_be_written_older_results_stay(
     assert unchanged(out, wall_run)
 
 
-@pytest.mark.parametrize(
-    ("baseline", "text"), [(1.0, None), (1.02, None), (1.06, "1.06"), (2.0, "2"), (0.001, "0.001")]
-)
+@pytest.mark.parametrize(("baseline", "text"), [(1.02, None), (1.06, "1.06"), (0.001, "0.001")])
 def test_a_baseline_that_contradicts_the_truth_is_warned_of(
     baseline: float,
     text: str | None,
@@ -590,7 +601,8 @@ def test_strict_refuses_a_run_that_is_hardly_ok_but_keeps_it(
 
 
 def test_strict_accepts_a_run_that_is_ok(wall: Path, tmp_path: Path) -> None:
-    assert main(["run", str(wall), "--out", str(tmp_path / "out"), "--strict"]) == 0
+    words = ["--max-frames", "3", "--strict"]
+    assert main(["run", str(wall), "--out", str(tmp_path / "out"), *words]) == 0
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,7 @@ def test_recordings_are_opened_as_told(
     pictures = shutil.copytree(wall, tmp_path / "pictures")
     (pictures / "times.txt").unlink()
     words = ["train", str(pictures), "--kind", "student-t", "--supervision", "none"]
+    words += ["--max-frames", "3"]
     out = tmp_path / "here.safetensors"
     assert main([*words, "--out", str(out)]) == 2
     assert "--rate-hz" in capsys.readouterr().err
@@ -111,7 +112,7 @@ def test_recordings_are_opened_as_told(
     assert main([*words, "--out", str(there), "--rate-hz", "10", "--jobs", "2"]) == 0
     assert there.read_bytes() == out.read_bytes()
     seen = ["inspect", str(pictures), "--rate-hz", "10", "--out", str(tmp_path / "seen")]
-    assert main([*seen, "--model", str(out)]) == 0
+    assert main([*seen, "--frame", "1", "--model", str(out)]) == 0
 
 
 def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(trained: Trained) -> None:

@@ -149,17 +149,20 @@ def test_the_warning_needs_three_percent_and_three_sigma(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_a_wrong_baseline_of_a_rendered_drive_is_seen(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """5 % too long or too short: `run` warns and names it, within 2 %; the right one is silent."""
+    """5 % too long: `run` warns and names it, within 2 %; the right one is silent. Reports are left
+    out."""
+    monkeypatch.setattr(
+        "probevo.output.report.report.write_report", lambda path, *_, **__: path.touch()
+    )
     street = tmp_path / "street"
     rig = ["--rig.width-px", "310", "--rig.height-px", "94", "--rig.focal-px", "180"]
     words = ["simulate", "scene", "--preset", "residential", "--distance-m", "50", "--jobs", "1"]
     assert main([*words, *rig, "--out", str(street)]) == 0
     text = (street / "calib.yaml").read_text()
-    for factor in (1.0, 1.05, 0.95):
+    for factor in (1.0, 1.05):
         copy = shutil.copytree(street, tmp_path / f"street_{factor}")
         (copy / "poses.txt").unlink()  # which would tell it, too
         changed = text.replace("baseline_m: 0.54", f"baseline_m: {0.54 * factor:.6g}")

@@ -63,7 +63,7 @@ def test_a_good_calibration_agrees_with_itself() -> None:
     assert low < np.mean(np.square(z)) < 1.3 * high
 
 
-@pytest.mark.parametrize("turn_rad", [0.02, 0.5, np.pi])
+@pytest.mark.parametrize("turn_rad", [0.02, np.pi])
 def test_a_wrong_mounting_comes_back(turn_rad: float) -> None:
     between_ns, image_rad, stream = drive()
     wrong = CALIBRATION.T_cam_imu.copy()

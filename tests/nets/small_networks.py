@@ -15,8 +15,8 @@ from probevo.nets.target_space import RotationTargets
 
 INPUTS = 3
 METHODS = (
-    Method("dropout", passes=8, dropout=0.2),
-    Method("ensemble", networks=4, bootstrap=True, target_sigma=0.02),
+    Method("dropout", passes=5, dropout=0.2),
+    Method("ensemble", networks=5, bootstrap=True, target_sigma=0.02),
     Method("sigma", learns_covariance=True),
     Method("hydra", heads=5, target_sigma=0.05),
     Method("hydra-sigma", heads=5, learns_covariance=True, target_sigma=0.05),
@@ -39,6 +39,18 @@ def build(method: Method, key: jax.Array) -> Network:
         heads=eqx.filter_vmap(head)(jax.random.split(second, method.heads)),
         covariance_head=covariance_head,
     )
+
+
+def drawn(method: Method, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Network:
+    """Return networks, with leading dimensions, whose weights are from NumPy: the random numbers of
+    JAX have to be compiled for each size."""
+    structure = eqx.filter_eval_shape(build, method, jax.random.key(0))
+
+    def draw(leaf: jax.ShapeDtypeStruct) -> jax.Array:
+        return jnp.asarray(rng.normal(0.0, 0.3, (*shape, *leaf.shape)), leaf.dtype)
+
+    network: Network = jax.tree.map(draw, structure)
+    return network
 
 
 def data(method: Method, seed: int = 0, count: int = 300) -> TrainingData:

@@ -35,11 +35,17 @@ def fit_of(pairs: ImagePairs, batch: int = 1000) -> FieldFit:
     return fit_fields((pairs.fields[part], targets[part]) for part in parts)
 
 
-def network_of(fit: FieldFit) -> Network:
-    """Return a network with initial weights, compiled as a whole."""
-    build = partial(field_network, METHOD, space=SPACE, fit=fit)
-    network: Network = eqx.filter_jit(build)(jax.random.key(0))
-    return network
+@pytest.fixture(scope="module")
+def pairs() -> ImagePairs:
+    return small_pairs(60)
+
+
+@pytest.fixture(scope="module")
+def network(pairs: ImagePairs) -> Network:
+    """A network with initial weights, compiled as a whole."""
+    build = partial(field_network, METHOD, space=SPACE, fit=fit_of(pairs))
+    built: Network = eqx.filter_jit(build)(jax.random.key(0))
+    return built
 
 
 def test_the_regression_finds_the_rotation() -> None:
@@ -64,20 +70,17 @@ def test_the_fit_from_sums_is_that_of_the_standardised_flow() -> None:
         np.testing.assert_allclose(fit.linear.offset, linear.offset, rtol=1e-4, atol=1e-6)
 
 
-def test_a_network_begins_as_the_regression() -> None:
-    pairs = small_pairs(60)
-    fit = fit_of(pairs)
-    outputs, raw = network_of(fit)(jax.numpy.asarray(pairs.fields[0]), jax.random.key(0))
-    expected = fit.estimates(pairs.fields[:1])
+def test_a_network_begins_as_the_regression(pairs: ImagePairs, network: Network) -> None:
+    call = eqx.filter_jit(network)
+    outputs, raw = call(jax.numpy.asarray(pairs.fields[0]), jax.random.key(0))
+    expected = fit_of(pairs).estimates(pairs.fields[:1])
     assert outputs.shape == (5, 3)
     assert raw.shape == (6,)
     # Heads differ, each a little from the regression: 0.15 units are 0.1°.
     assert 0.0 < np.abs(np.asarray(outputs) - expected).max() < 0.15
 
 
-def test_training_leaves_the_regression_as_it_is() -> None:
-    pairs = small_pairs(20)
-    network = network_of(fit_of(pairs))
+def test_training_leaves_the_regression_as_it_is(pairs: ImagePairs, network: Network) -> None:
     q_true = jax.vmap(SPACE.estimate)(jax.numpy.asarray(pairs.rotations / SPACE.unit_rad))
     targets = jax.numpy.repeat(q_true[:, None], 5, axis=1)
 

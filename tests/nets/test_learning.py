@@ -40,9 +40,15 @@ def train(
     return named_arrays(trained.networks)
 
 
-@pytest.mark.parametrize(
-    "method", [METHODS[0], METHODS[1], HYDRA_SIGMA], ids=lambda method: method.name
-)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a finished training, which no test changes."""
+    file = tmp_path_factory.mktemp("finished") / "done.safetensors"
+    train(HYDRA_SIGMA, file)
+    return file
+
+
+@pytest.mark.parametrize("method", [METHODS[1], HYDRA_SIGMA], ids=lambda method: method.name)
 def test_a_training_that_was_stopped_ends_with_the_same_bytes(
     method: Method, tmp_path: Path
 ) -> None:
@@ -73,20 +79,17 @@ def test_a_finished_training_is_not_repeated(tmp_path: Path) -> None:
     assert all(np.array_equal(first[name], again[name]) for name in first)
 
 
-def test_networks_of_another_plan_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "done.safetensors"
-    train(HYDRA_SIGMA, file)
+def test_networks_of_another_plan_are_refused(finished: Path) -> None:
     for method, plan in ((HYDRA_SIGMA, replace(PLAN, epochs=7)), (METHODS[2], PLAN)):
         with pytest.raises(InputError, match="another method, plan or version"):
-            train(method, file, plan=plan)
+            train(method, finished, plan=plan)
 
 
 @pytest.mark.parametrize("place", [0, 200, -1])
-def test_a_damaged_file_is_refused(place: int, tmp_path: Path) -> None:
-    file = tmp_path / "done.safetensors"
-    train(HYDRA_SIGMA, file)
-    content = bytearray(file.read_bytes())
+def test_a_damaged_file_is_refused(place: int, finished: Path, tmp_path: Path) -> None:
+    content = bytearray(finished.read_bytes())
     content[place] ^= 0xFF
+    file = tmp_path / finished.name
     file.write_bytes(content)
     with pytest.raises(InputError, match=r"done\.safetensors"):
         train(HYDRA_SIGMA, file)
@@ -102,9 +105,9 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
-    """With a rate that makes things worse soon, the loss on the data left out decides."""
+    """The loss on the data left out decides; after some thirty epochs it falls no longer."""
     file = tmp_path / "best.safetensors"
-    plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=4, seed=3)
+    plan = replace(PLAN, epochs=500, patience=4, keep_every=10)
     seen = []
     trained = learn(
         HYDRA_SIGMA,
@@ -121,7 +124,7 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     assert trained.kept_epoch == epochs - 4 == read_facts(file)["kept_epoch"]
     assert seen == [(epoch, 500) for epoch in range(1, epochs + 1)]
     # The best networks are those of a training that ends four epochs earlier, but for the rounding
-    # of another compiled epoch; those of the epochs beside it differ by 0.09.
+    # of another compiled epoch; those of the epochs beside it differ by 0.015.
     best = learn(
         HYDRA_SIGMA,
         SPACE,
@@ -139,7 +142,7 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
 def test_the_initial_networks_are_kept_if_no_loss_is_finite() -> None:
     given = data(HYDRA_SIGMA)
     spoiled = replace(given, held_out_targets=jax.numpy.nan * given.held_out_targets)
-    plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=2)
+    plan = replace(PLAN, epochs=500, patience=2)
     trained = learn(HYDRA_SIGMA, SPACE, build, data=spoiled, plan=plan)
     assert trained.kept_epoch == 0
     assert trained.epochs == 2
@@ -191,4 +194,4 @@ def test_it_learns_rotations(method: Method) -> None:
         errors = SPACE.difference(mean, given.held_out_targets[0])
         return float(np.degrees(np.linalg.norm(errors, axis=-1)).mean())
 
-    assert mean_error_deg(200) < 0.25 * mean_error_deg(1)
+    assert mean_error_deg(50) < 0.25 * mean_error_deg(1)

@@ -11,7 +11,7 @@ import pytest
 jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 eqx = pytest.importorskip("equinox")
 
-from nets.small_networks import INPUTS, METHODS, build  # noqa: E402
+from nets.small_networks import INPUTS, METHODS, drawn  # noqa: E402
 from probevo.nets import methods  # noqa: E402
 from probevo.nets.covariance_scale import negative_log_likelihoods  # noqa: E402
 from probevo.nets.methods import Method, Prediction  # noqa: E402
@@ -22,11 +22,11 @@ STEP = 1e-6
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 
 
-def predicted(method: Method, seed: int = 0) -> Prediction:
+def predicted(method: Method) -> Prediction:
     space = RotationTargets()
-    keys = jax.random.split(jax.random.key(seed), method.networks)
-    networks = eqx.filter_vmap(lambda key: build(method, key))(keys)
-    inputs = jax.numpy.asarray(np.random.default_rng(seed).normal(size=(7, INPUTS)), "float32")
+    rng = np.random.default_rng(0)
+    networks = drawn(method, rng, (method.networks,))
+    inputs = jax.numpy.asarray(rng.normal(size=(7, INPUTS)), "float32")
     found, raw = methods.estimates(method, space, networks, inputs, jax.random.key(1))
     assert found.shape == (7, method.num_estimates, 4)
     return methods.prediction(space, found, raw)
@@ -57,10 +57,10 @@ def test_the_spread_is_the_sample_covariance_about_the_mean() -> None:
 def test_the_prediction_does_not_depend_on_the_signs_of_the_heads() -> None:
     rng = np.random.default_rng(1)
     space = RotationTargets()
-    around = jax.numpy.asarray(rng.normal(0.0, 0.2, (4, 25, 3)))
+    around = jax.numpy.asarray(rng.normal(0.0, 0.2, (7, 5, 3)))
     found = np.asarray(space.perturb(jax.numpy.array([0.5, 0.5, -0.5, 0.5]), around))
-    raw = jax.numpy.asarray(rng.normal(size=(4, 1, 6)))
-    signs = rng.choice([-1.0, 1.0], (4, 25, 1))
+    raw = jax.numpy.asarray(rng.normal(size=(7, 1, 6)))
+    signs = rng.choice([-1.0, 1.0], (7, 5, 1))
     one = methods.prediction(space, jax.numpy.asarray(found), raw)
     other = methods.prediction(space, jax.numpy.asarray(signs * found), raw)
     assert other.mean == pytest.approx(one.mean, abs=1e-5)
@@ -72,15 +72,15 @@ def test_the_calibrated_loss_is_the_least_of_all_factors(method: Method) -> None
     """Against the covariances as they are predicted, times a factor of a grid; where no covariance
     is learned, it is the loss. Of one head and without dropout, all methods are one of these."""
     space = RotationTargets()
-    network = build(replace(method, heads=1), jax.random.key(3))
     rng = np.random.default_rng(3)
+    network = drawn(replace(method, heads=1), rng)
     inputs = jax.numpy.asarray(rng.normal(size=(40, INPUTS)), "float32")
     true = space.estimate(jax.numpy.asarray(rng.normal(size=(40, 1, 4)), "float32"))
-    found = methods.calibrated_loss(space, network, inputs, true, None)
+    found = eqx.filter_jit(methods.calibrated_loss)(space, network, inputs, true, None)
     if not method.learns_covariance:
-        assert found == methods.loss(space, network, inputs, true, None)
+        assert found == eqx.filter_jit(methods.loss)(space, network, inputs, true, None)
         return
-    outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
+    outputs, raw = jax.jit(jax.vmap(lambda one: network(one, None)))(inputs)
     errors = np.asarray(space.difference(space.estimate(outputs), true), np.float64)[:, 0]
     covariances = space.covariance(np.asarray(raw))
     losses = [
@@ -99,8 +99,9 @@ def test_gradients_of_the_loss_are_those_of_central_differences(method: Method) 
     space = RotationTargets()
     rng = np.random.default_rng(2)
     with jax.enable_x64(True):
-        network = build(method, jax.random.key(4))
-        network = jax.tree.map(lambda leaf: leaf.astype("float64"), network)
+        network = jax.tree.map(
+            lambda leaf: jax.numpy.asarray(np.asarray(leaf, "float64")), drawn(method, rng)
+        )
         inputs = jax.numpy.asarray(rng.normal(size=(9, INPUTS)))
         targets = space.estimate(jax.numpy.asarray(rng.normal(size=(9, method.heads, 4))))
 

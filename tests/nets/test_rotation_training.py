@@ -20,6 +20,7 @@ from probevo.errors import InputError  # noqa: E402
 from probevo.geometry import so3  # noqa: E402
 from probevo.measurements.sensor import NoMeasurement  # noqa: E402
 from probevo.nets import methods, quaternions  # noqa: E402
+from probevo.nets.calibration import BLOCK  # noqa: E402
 from probevo.nets.image_pairs import ImagePairs  # noqa: E402
 from probevo.nets.rotation_network import SPACE, RotationNetwork  # noqa: E402
 from probevo.nets.rotation_sensor import RotationSensor  # noqa: E402
@@ -30,9 +31,9 @@ from probevo.sensor_kinds import load_sensors  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 from probevo.sequences.frame import GroundTruth  # noqa: E402
 
-FRAMES = 13
-PAIRS = FRAMES - 1
+PAIRS = BLOCK
 """Pairs of a recording. With as many, what the training has compiled serves the tests, too."""
+FRAMES = PAIRS + 1
 SETTINGS = NetworkSettings(epochs=3, copies=3, batch=16, heads=4)
 
 
@@ -85,7 +86,10 @@ def test_a_training_that_was_stopped_ends_with_the_same_bytes(
 
 @pytest.mark.parametrize(
     ("sparse", "complaint"),
-    [(0, "SEQUENCE: 4 of 13 frames can be learned from"), (1, "other: it is left out, and 4 of")],
+    [
+        (0, f"SEQUENCE: 4 of {FRAMES} frames can be learned from"),
+        (1, "other: it is left out, and 4 of"),
+    ],
 )
 def test_truth_that_is_known_too_seldom_is_refused_before_the_training(
     walls: list[Path], tmp_path: Path, sparse: int, complaint: str
@@ -106,15 +110,14 @@ def test_the_covariance_is_scaled_to_errors_in_blocks(model: Path) -> None:
     """Errors that are the same for ten pairs need ten times the variance of independent ones."""
     network = RotationNetwork.load(model)
     plain = RotationNetwork(network.networks, network.domain, {**network.facts, "scale": 1.0})
-    pairs = small_pairs(200, seed=5, turn_rad=0.002)
-    estimated = plain.estimate(pairs.fields)
-    C = so3.exp(_rotation_vectors(estimated.q_curr_prev))
     rng = np.random.default_rng(0)
-    root = np.linalg.cholesky(estimated.covariance)
-    same = np.repeat(rng.normal(size=(20, 3)), 10, axis=0)
-    truth = so3.log(so3.exp(-np.einsum("nij,nj->ni", root, same)) @ C)
-    with_truth = ImagePairs(pairs.fields, truth)
-    found = calibrated(plain, [with_truth])
+    left_out = []
+    for fields in np.split(small_pairs(20 * PAIRS, seed=5, turn_rad=0.002).fields, 20):
+        estimated = plain.estimate(fields)
+        C = so3.exp(_rotation_vectors(estimated.q_curr_prev))
+        errors = np.linalg.cholesky(estimated.covariance) @ rng.normal(size=3)
+        left_out.append(ImagePairs(fields, so3.log(so3.exp(-errors) @ C)))
+    found = calibrated(plain, left_out)
     assert found.facts["scale_single"] == pytest.approx(1.0, abs=0.5)
     ratio = found.facts["scale_blocks"] / found.facts["scale_single"]
     assert 6.0 < ratio < 12.0
@@ -168,7 +171,7 @@ def test_train_run_and_compare_with_the_sensor(
     assert main(["run", str(walls[0]), "--sensor", str(out), "--out", str(run)]) == 0
     assert json.loads((run / "metrics.json").read_text())["faults"] == {}
     shown = (run / "report.html").read_text()
-    assert re.search(r"Sensor rotation.{0,80}12 steps used it", shown, re.DOTALL)
+    assert re.search(rf"Sensor rotation.{{0,80}}{PAIRS} steps used it", shown, re.DOTALL)
     again = tmp_path / "again"
     assert main(["run", "--config", str(run / "config.yaml"), "--out", str(again)]) == 0
     assert (again / "trajectory.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
@@ -177,7 +180,7 @@ def test_train_run_and_compare_with_the_sensor(
     assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
     assert "Errors within their regions" in (seen / "inspection.html").read_text()
     shown = capsys.readouterr().out
-    assert f"Measurements: {FRAMES - 1}" in shown
+    assert f"Measurements: {PAIRS}" in shown
     assert "Kept: the network after " in shown
     assert main(["inspect", "--model", str(out), "--out", str(seen)]) == 2
     assert "a sensor is inspected on a recording" in capsys.readouterr().err

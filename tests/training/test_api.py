@@ -27,7 +27,7 @@ from probevo_sim.point_world import write_points
 from sequences.recordings import write_kitti_flow, write_tracks
 from training.supervised_drives import point_world, rmse_m, true_motions
 
-FRAMES = 10
+FRAMES = 8
 SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
 
 
@@ -267,7 +267,7 @@ def motions(path: Path, noise: NoiseModel) -> FloatArray:
 def test_what_was_learned_on_one_recording_makes_another_one_better(tmp_path: Path) -> None:
     """σ grows from 0.05 px to 1 px from left to right, and all that the model sees is where a
     feature is."""
-    worlds = [point_world("column", seed=seed, frames=40) for seed in (0, 1)]
+    worlds = [point_world("column", seed=seed, frames=24) for seed in (0, 1)]
     for name, world in zip(("train", "test"), worlds, strict=True):
         write_points(world, tmp_path / f"{name}.npz")
     settings = SETTINGS.model_copy(
@@ -422,7 +422,7 @@ def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
 
 def test_more_neighbours_than_samples_are_refused(recordings: list[Sequence], out: Path) -> None:
     settings = SETTINGS.model_copy(update={"neighbors": 10_000})
-    refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 432 samples.")
+    refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 336 samples.")
 
 
 def test_with_fewer_neighbours_it_goes_on_where_it_was(

@@ -7,6 +7,7 @@ that is positive definite whatever the weights are. Errors are tangent vectors.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import jax
@@ -80,6 +81,7 @@ class TargetSpace(Protocol):
         """Return Σ, [..., d, d], that the outputs of a covariance head mean."""
 
 
+@dataclass(frozen=True)
 class NumberTargets:
     """Real numbers, whose variance is softplus(raw) + 1e-6, as published."""
 
@@ -121,6 +123,7 @@ class NumberTargets:
         return variance[..., None]
 
 
+@dataclass(frozen=True)
 class RotationTargets:
     """Rotations as unit quaternions; the error is φ = Log(q ⊗ q*⁻¹), rad, a left perturbation."""
 
@@ -175,14 +178,6 @@ class SmallRotationTargets(RotationTargets):
     num_outputs = 3
     first_sigma_rad = 2e-3
     unit_rad = 0.01
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether the other is of the same class: then all is the same."""
-        return type(other) is type(self)
-
-    def __hash__(self) -> int:
-        """Return the hash of the class."""
-        return hash(type(self))
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return q = Exp(0.01 o), [..., 4], of outputs [..., 3]."""

@@ -8,6 +8,7 @@ import pytest
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.measurements.gyro import integrate_gyro
+from probevo.sequences.frame import Frame
 from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
@@ -20,9 +21,14 @@ def short() -> SceneRecording:
     return open_scene(SHORT)
 
 
+@cache
+def short_frames() -> list[Frame]:
+    return list(short())
+
+
 def test_frames_carry_images_times_and_imu() -> None:
     recording = short()
-    frames = list(recording)
+    frames = short_frames()
     assert len(frames) == len(recording) >= 9
     assert [frame.stamp_ns for frame in frames] == recording.stamps_ns.tolist()
     np.testing.assert_array_equal(np.diff(recording.stamps_ns), 100_000_000)
@@ -41,7 +47,7 @@ def test_truth_is_relative_to_the_first_camera_and_agrees_with_the_imu() -> None
     assert recording.truth is not None
     T = recording.truth.T_world_cam
     np.testing.assert_allclose(T[0], np.eye(4), atol=1e-12)
-    for frame in list(recording)[1:]:
+    for frame in short_frames()[1:]:
         T_curr_prev = se3.inverse(T[frame.index]) @ T[frame.index - 1]
         assert frame.imu is not None
         start_ns = int(recording.stamps_ns[frame.index - 1])
@@ -66,10 +72,9 @@ def test_flow_of_the_pixels_leads_to_the_next_frame() -> None:
     np.testing.assert_allclose(truth.flow_px[v, u], flow_px, atol=1e-6)
 
 
-@pytest.mark.parametrize("drive", [0, 1])
-def test_same_settings_same_bytes(drive: int) -> None:
+def test_same_settings_same_bytes() -> None:
     config = SHORT.model_copy(
-        update={"drive": drive, "effects": Effects(noise=0.5, exposure=0.5, blur=0.3)}
+        update={"drive": 1, "effects": Effects(noise=0.5, exposure=0.5, blur=0.3)}
     )
     first = open_scene(config)
     second = open_scene(config)

@@ -1,4 +1,4 @@
-"""The rover's loop: five runs through one place, on different paths, that end where they began."""
+"""The rover's loop: runs through one place, on different paths, that end where they began."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.presets.rover import rover
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
-RUNS = range(5)
+RUNS = (0, 1, 4)
 every_run = pytest.mark.parametrize("run", RUNS)
 
 
@@ -49,20 +49,21 @@ def test_another_run_takes_another_path(run: int) -> None:
 
 def test_place_is_the_same_for_every_run() -> None:
     first = opened(0).renderer.world.solids
-    other = opened(3).renderer.world.solids
+    other = opened(4).renderer.world.solids
     np.testing.assert_array_equal(first.T_object_solid, other.T_object_solid)
     np.testing.assert_array_equal(first.albedo, other.albedo)
 
 
 def test_truth_of_the_loop_is_its_two_ends() -> None:
-    truth = open_scene(SceneConfig(preset="rover", truth="loop")).truth
+    truth = open_scene(SceneConfig(preset="rover", distance_m=60.0, truth="loop")).truth
     assert truth is not None
     assert truth.known[[0, -1]].all()
     assert np.isnan(truth.T_world_cam[1:-1]).all()
 
 
 def test_truth_can_be_withheld() -> None:
-    assert open_scene(SceneConfig(preset="rover", truth="none")).truth is None
+    config = SceneConfig(preset="rover", distance_m=60.0, truth="none")
+    assert open_scene(config).truth is None
 
 
 def test_nothing_stands_in_the_way() -> None:
@@ -74,6 +75,7 @@ def test_nothing_stands_in_the_way() -> None:
 
 
 def test_another_seed_is_another_field() -> None:
-    first = rover(SceneConfig(preset="rover")).world.solids.albedo
-    other = rover(SceneConfig(preset="rover", seed=1)).world.solids.albedo
+    config = SceneConfig(preset="rover", distance_m=60.0)
+    first = rover(config).world.solids.albedo
+    other = rover(config.model_copy(update={"seed": 1})).world.solids.albedo
     assert len(first) != len(other) or not np.array_equal(first, other)

@@ -120,7 +120,7 @@ def test_more_severe_is_more_of_it() -> None:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_wall(tmp_path_factory.mktemp("wall"), 14)
+    return write_wall(tmp_path_factory.mktemp("wall"), 9)
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_the_command_writes_figures_page_and_picture_and_goes_on(
     places = [(each["preset"], each["severity"]) for each in metrics["spoiled"]]
     assert places == [("blur", 0.5), ("blur", 1.0), ("frames", 0.5), ("frames", 1.0)]
     assert metrics["clean"]["ok"] == 1.0
-    assert metrics["spoiled"][0]["steps"] == 13
+    assert metrics["spoiled"][0]["steps"] == 8
     assert metrics["spoiled"][0]["translation_m"] > 0.0
     page = (out / "stress.html").read_text()
     assert page.count("<svg") == 4  # two panels, each of two figures

@@ -4,7 +4,7 @@ with none."""
 import json
 import shutil
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -48,6 +48,14 @@ GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "iterations": 2,
 ONCE: dict[str, Any] = {"iterations": 1, "time_correlation": False}
 """Where time correlation does not matter, which is rejected here anyway."""
 EXACT: dict[str, Any] = {"truth_sigma_m": 0.0, "truth_sigma_deg": 0.0, "time_correlation": False}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_held_out() -> Iterator[None]:
+    """Compare hyperparameters by a quarter of the features, and save most of the time of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("probevo.noise.gk.folds.MAX_HELD_OUT", 150)
+        yield
 
 
 @dataclass(frozen=True)
@@ -329,7 +337,8 @@ def correlated(rho: float) -> DriveInMemory:
 def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None:
     """Only the static Student-t knows of correlations among the four numbers; within 0.08, and its
     σ within 10 %."""
-    model = learn_student_t(context_of([correlated(rho)], TrainSettings(kind="student-t")))
+    settings = TrainSettings(kind="student-t", gk=KernelSettings(time_correlation=False))
+    model = learn_student_t(context_of([correlated(rho)], settings))
     sigma = np.sqrt(np.diag(model.scale_))
     correlation = model.scale_ / np.outer(sigma, sigma)
     np.testing.assert_allclose([correlation[0, 2], correlation[1, 3]], [rho, rho], atol=0.08)
@@ -339,7 +348,7 @@ def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None
 def test_of_two_drives_both_are_learned_from() -> None:
     """One with truth, one without; their blocks of time are told apart."""
     drives = [supervised_drive("gt", 0, 20), supervised_drive("none", 2, 20)]
-    model = learn(drives, iterations=1).model
+    model = learn(drives, **ONCE).model
     assert model.num_samples_ == sum(len(each.drive.phi) for each in drives)
     assert np.mean(np.abs(log_ratio(model))) < 0.1
 
@@ -385,11 +394,11 @@ def reported() -> Reported:
     settings = settings_of(iterations=2)
     done: list[int] = []
     progress = TrainingProgress(
-        20,
+        12,
         trainer_of("gk").num_iterations(settings),
         lambda frames, total: done.append(frames),
     )
-    model = learn_kernel(context_of([supervised_drive(frames=20)], settings, progress))
+    model = learn_kernel(context_of([supervised_drive(frames=12)], settings, progress))
     return Reported(model, progress, done)
 
 
@@ -404,7 +413,7 @@ def test_every_iteration_is_reported(reported: Reported) -> None:
 
 def test_the_same_drives_give_the_same_model(reported: Reported) -> None:
     one = reported.model.to_file()
-    other = learn([supervised_drive(frames=20)], iterations=2).model.to_file()
+    other = learn([supervised_drive(frames=12)], iterations=2).model.to_file()
     assert one.facts == other.facts
     for name, array in one.arrays.items():
         assert np.asarray(array).tobytes() == np.asarray(other.arrays[name]).tobytes()
@@ -427,7 +436,7 @@ def test_a_drive_of_a_single_step_will_do() -> None:
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Sequence]:
     """One short drive, of some 75 landmarks a frame."""
     path = tmp_path_factory.mktemp("tracks") / "0.npz"
-    write_points(point_world("column", frames=10, landmarks=400), path)
+    write_points(point_world("column", frames=7, landmarks=400), path)
     return [pv.open_sequence(path)]
 
 
