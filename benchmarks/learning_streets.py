@@ -1,13 +1,15 @@
 """What learned noise gains on many streets, each another place: docs/window.md.
 
-    python benchmarks/learning_streets.py [--drives 8] [--models out/window_learning]
+    python benchmarks/learning_streets.py [--drives 4] [--models out/window_learning]
 
 A single drive says little of what learning gains: its drift is mostly the error of one scale. Here
 the models of ``window_learning.py``, learned without truth from a rendered city, are tested on
-eight other cities and eight residential streets, clean and with effects. For the window and for two
-frames, by images alone, it prints the drift, %, and the rotation, °/m, over pieces of 10 to 50 m of
-each drive, and then, over the drives of a kind, the geometric means of the untrained model, the
-ratio of each learned one to it with the standard error of that ratio, and on how many it is better.
+four other cities and four residential streets, clean and with effects. For the window and for two
+frames, by images alone, it prints of each drive the drift, %, the rotation, °/m, over pieces of 10
+to 50 m, and the NEES of a step over its 6 dimensions; and then, over the drives of a kind, the
+geometric means of the untrained model, the ratio of each learned one to it with the standard error
+of that ratio, and on how many it is less. With ``--streets``, the rendered drives are kept there,
+and those that exist are not rendered again.
 """
 
 from __future__ import annotations
@@ -39,22 +41,26 @@ FIRST_SEED = 3100
 """No model was learned from, and no setting chosen on, this and the following ones."""
 DISTANCE_M = 60.0
 ESTIMATORS = ("two-frame", "window")
+QUANTITIES = ("drift", "rotation", "NEES")
 
 
-def drift(street: SceneConfig, noises_by_name: dict[str, str]) -> FloatArray:
-    """Return drift, %, and rotation, °/m, of each estimator with each noise model, [E, M, 2]."""
+def errors(street: SceneConfig, folder: Path, noises: list[str]) -> FloatArray:
+    """Return the ``QUANTITIES`` of each estimator with each noise model, [E, M, 3]."""
     cv2.setNumThreads(1)
-    found = np.empty((len(ESTIMATORS), len(noises_by_name), 2))
-    with tempfile.TemporaryDirectory() as folder:
-        sequence = pv.open_sequence(write_scene(street, Path(folder) / "street"))
-        for e, estimator in enumerate(ESTIMATORS):
-            for m, noise in enumerate(noises_by_name.values()):
-                odometry = pv.StereoOdometry(
-                    sequence.camera, noise, config={"estimator": estimator}
-                )
-                path = [odometry.step(replace(frame, imu=None)).T_world_cam for frame in sequence]
-                metrics = evaluate(np.array(path), sequence.truth.T_world_cam)
-                found[e, m] = metrics.short_t_percent, metrics.short_r_deg_per_m
+    sequence = pv.open_sequence(write_scene(street, folder))
+    truth = sequence.truth.T_world_cam
+    found = np.empty((len(ESTIMATORS), len(noises), len(QUANTITIES)))
+    for e, estimator in enumerate(ESTIMATORS):
+        for m, noise in enumerate(noises):
+            odometry = pv.StereoOdometry(sequence.camera, noise, config={"estimator": estimator})
+            steps = [odometry.step(replace(frame, imu=None)) for frame in sequence]
+            metrics = evaluate(
+                np.array([step.T_world_cam for step in steps]),
+                truth,
+                np.array([step.T_curr_prev for step in steps[1:]]),
+                np.array([step.cov for step in steps[1:]]),
+            )
+            found[e, m] = metrics.short_t_percent, metrics.short_r_deg_per_m, metrics.anees / 6.0
     return found
 
 
@@ -62,7 +68,7 @@ def summary(found: FloatArray, names: list[str]) -> str:
     """Return the geometric mean of the untrained model, and the ratio of each learned one to it.
 
     Args:
-        found: drift or rotation of each drive with each model, [N, M]; the untrained is the first.
+        found: a quantity of each drive with each model, [N, M]; the untrained is the first.
         names: those of the models, [M].
     """
     logs = np.log(found)
@@ -70,9 +76,9 @@ def summary(found: FloatArray, names: list[str]) -> str:
     for m, name in enumerate(names[1:], start=1):
         ratios = logs[:, m] - logs[:, 0]
         error = ratios.std(ddof=1) / np.sqrt(len(ratios))
-        better = int((ratios < 0).sum())
+        less = int((ratios < 0).sum())
         cells.append(
-            f"{name} × {np.exp(ratios.mean()):.3f} ± {error:.3f}, better on {better}/{len(ratios)}"
+            f"{name} × {np.exp(ratios.mean()):.3f} ± {error:.3f}, less on {less}/{len(ratios)}"
         )
     return "; ".join(cells)
 
@@ -82,30 +88,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--drives", type=int, default=8, help="of each kind of street")
+    parser.add_argument("--drives", type=int, default=4, help="of each kind of street")
     parser.add_argument("--models", type=Path, default=Path("out/window_learning"))
+    parser.add_argument("--streets", type=Path)
     arguments = parser.parse_args()
     arguments.models.mkdir(parents=True, exist_ok=True)
-    by_name = learned_from_streets(arguments.models)
-    names = list(by_name)
-    with ProcessPoolExecutor(max_workers=2, mp_context=get_context("spawn")) as pool:
+    noises = learned_from_streets(arguments.models)
+    print("untrained, fitted Student-t, gk: drift, % / rotation, °/m / NEES of a step", flush=True)
+    with (
+        tempfile.TemporaryDirectory() as temporary,
+        ProcessPoolExecutor(max_workers=2, mp_context=get_context("spawn")) as pool,
+    ):
+        folder = arguments.streets or Path(temporary)
         for kind, (preset, effects) in STREETS.items():
-            streets = [
-                SceneConfig(preset=preset, seed=seed, distance_m=DISTANCE_M, effects=effects)
-                for seed in range(FIRST_SEED, FIRST_SEED + arguments.drives)
-            ]
-            of_drives = []
-            for street, found in zip(
-                streets, pool.map(drift, streets, [by_name] * len(streets)), strict=True
-            ):
-                of_drives.append(found)
-                for estimator, of_models in zip(ESTIMATORS, found, strict=True):
-                    cells = " ".join(f"{t:.3f}/{r:.4f}" for t, r in of_models)
-                    print(f"{kind} {street.seed} {estimator:9} {cells}", flush=True)
-            table = np.array(of_drives)
-            for e, estimator in enumerate(ESTIMATORS):
-                for q, quantity in enumerate(("drift", "rotation")):
-                    print(f"{kind} {estimator:9} {quantity:8} {summary(table[:, e, :, q], names)}")
+            running = []
+            for seed in range(FIRST_SEED, FIRST_SEED + arguments.drives):
+                street = SceneConfig(
+                    preset=preset, seed=seed, distance_m=DISTANCE_M, effects=effects
+                )
+                name = f"{kind}_{seed}".replace(", ", "_")
+                running.append(pool.submit(errors, street, folder / name, list(noises.values())))
+            table = np.array([drive.result() for drive in running])
+            show(kind, table, list(noises))
+
+
+def show(kind: str, table: FloatArray, names: list[str]) -> None:
+    """Print the lines of a kind of street.
+
+    Args:
+        kind: its name.
+        table: the ``QUANTITIES`` of each drive, estimator and model, [N, E, M, 3].
+        names: those of the models, [M].
+    """
+    for seed, of_drive in enumerate(table, start=FIRST_SEED):
+        for estimator, of_models in zip(ESTIMATORS, of_drive, strict=True):
+            cells = "  ".join(f"{t:.3f} / {r:.4f} / {nees:.2f}" for t, r, nees in of_models)
+            print(f"{kind} {seed} {estimator:9} {cells}")
+    for e, estimator in enumerate(ESTIMATORS):
+        for q, quantity in enumerate(QUANTITIES):
+            print(f"{kind} {estimator:9} {quantity:8} {summary(table[:, e, :, q], names)}")
 
 
 if __name__ == "__main__":

@@ -105,7 +105,7 @@ class Faults:
         self.injected: Counter[str] = Counter()
         self.noise = pv.noise.StudentT()
         self.columns: tuple[str, ...] = ()
-        self.scale_is_assumed = self.noise.scale_is_assumed
+        self.scale_is_relative = self.noise.scale_is_relative
 
     def happens(self, kind: str, share: float) -> bool:
         """Draw whether a fault happens, and count it."""

@@ -143,9 +143,9 @@ class SolverConfig(Settings):
     noise_scale: Literal["online", "model"] = Field(
         "online",
         description=(
-            "Size of the noise: online multiplies the variances of a model that has not learned it"
-            " (student-t, or knn) by a running factor that the residuals of this recording show;"
-            " model takes them as they are."
+            "Size of the noise: online multiplies the variances of student-t, knn and gk by a"
+            " running factor that the residuals of this recording show; model takes them as they"
+            " are."
         ),
     )
     max_iterations: int = Field(

@@ -1,6 +1,7 @@
 """Tracks to motion: how each status comes about, and that only a status of OK is accepted."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import Fixed, NearestNeighbors, NoiseModel, StereoNoise, StudentT
-from probevo.noise.base import has_assumed_scale
+from probevo.noise.base import has_relative_scale
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 from worlds import (
@@ -52,10 +53,8 @@ NEAR_M = (3.0, 10.0)
 """Here the noise of triangulated points is nearly Gaussian, as alignment assumes."""
 
 
-class Scaled(StudentT):
-    """A given scale that the odometry is to scale."""
-
-    scale_is_assumed = True  # type: ignore[assignment]
+Scaled = partial(StudentT, scale_is_relative=True)
+"""A given scale that the odometry is to scale."""
 
 
 def priors_of(
@@ -256,16 +255,18 @@ def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
     assert visual.estimated_noise_factor == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
 
 
-def test_a_scale_that_was_learned_is_kept() -> None:
+def test_a_scale_that_was_given_is_kept() -> None:
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     given = StudentT(4.0, 0.03 * np.eye(4))
     fitted = StudentT(4.0).fit(np.zeros((50, 0)), np.random.default_rng(0).normal(size=(50, 4)))
     read = StudentT.from_file(fitted.to_file())
     for noise in (given, fitted, read, NearestNeighbors(base=given), Fixed()):
-        assert not has_assumed_scale(noise)
-    for noise in (StudentT(), StudentT(4.0), StudentT.from_file(StudentT().to_file())):
-        assert has_assumed_scale(noise)
-        assert has_assumed_scale(NearestNeighbors(base=noise))
+        assert not has_relative_scale(noise)
+    relative = Scaled(4.0, 0.03 * np.eye(4))
+    models = (StudentT(), StudentT(4.0), relative)
+    for noise in (*models, *(StudentT.from_file(model.to_file()) for model in models)):
+        assert has_relative_scale(noise)
+        assert has_relative_scale(NearestNeighbors(base=noise))
     assert estimate(tracks, noise=given).estimated_noise_factor is None
 
 

@@ -1,8 +1,9 @@
 """How large the errors of this recording's features are against their noise model, learned online.
 
-A model with a default scale describes no camera and scene in particular. If all its variances are
-too large by one factor, so is the covariance of the motion; and outliers keep too much weight,
-since they are compared with errors that do not occur. A scale that was given or fitted is kept.
+A model with a default scale describes no camera and scene in particular, and one that was learned
+describes those of its training. If all its variances are too large by one factor, so is the
+covariance of the motion; and outliers keep too much weight, since they are compared with errors
+that do not occur. A scale that was given is kept, and so is that of PROBE-GK as published.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale, predicted_noise
+from probevo.noise.base import NoiseModel, StereoNoise, has_relative_scale, predicted_noise
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -230,7 +230,7 @@ class VisualEstimator:
         self._noise = noise
         self._config = config
         self._predicts_from_motion = predicts_from_motion
-        self._scales_noise = has_assumed_scale(noise) and config.solver.noise_scale == "online"
+        self._scales_noise = has_relative_scale(noise) and config.solver.noise_scale == "online"
         # The window estimator models the time correlation of aligned tracks itself, as an AR(1)
         # process (``window.correlation``).
         self._drops_time_correlation = config.estimator == "window"

@@ -152,7 +152,7 @@ def disparity_variance(scale: FloatArray) -> FloatArray:
 class NoiseModel(Protocol):
     """A noise model maps predictors to the noise of each feature; ``predict`` is pure.
 
-    With a property ``scale_is_assumed`` that is true, the odometry learns its scale online.
+    With a property ``scale_is_relative`` that is true, the odometry learns its scale online.
     """
 
     @property
@@ -190,13 +190,13 @@ def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
     return noise
 
 
-def has_assumed_scale(model: NoiseModel) -> bool:
-    """Return whether the size of a model's covariances is assumed, and neither given nor learned:
-    the property ``scale_is_assumed``, which a model may have.
+def has_relative_scale(model: NoiseModel) -> bool:
+    """Return whether a model describes how the errors of features compare, but not their size in a
+    recording: the property ``scale_is_relative``, which a model may have.
 
     The odometry scales such noise to the recording (``estimation.noise_scale``).
     """
-    return bool(getattr(model, "scale_is_assumed", False))
+    return bool(getattr(model, "scale_is_relative", False))
 
 
 class LearnedNoiseModel(NoiseModel, Protocol):

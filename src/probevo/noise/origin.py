@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -76,6 +76,8 @@ class _TrainingFacts(_TrainingPart):
     """Number of EM iterations after which the model was taken."""
     time_correlation_gain: float | None = None
     """Gain in likelihood by time-correlated errors, nats a feature."""
+    recording_factors: list[Annotated[float, Field(gt=0)]] = []
+    """Factor of the variances of the model in each recording."""
     settings: dict[str, Any] = {}
 
 

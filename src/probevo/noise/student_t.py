@@ -50,6 +50,9 @@ class StudentT:
             is given or fitted. Noise that refers to the residual has none.
         jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
             is not known. ``fit`` does not estimate it.
+        scale_is_relative: whether the size of the errors differs from recording to recording, and
+            the odometry learns it online (``has_relative_scale``). By default it does so for the
+            default scale alone; training sets it.
     """
 
     columns: tuple[str, ...] = ()
@@ -64,6 +67,7 @@ class StudentT:
         training: Mapping[str, Any] | None = None,
         time_correlation_ratio: float | None = None,
         jitter_cov: FloatArray | None = None,
+        scale_is_relative: bool | None = None,
     ) -> None:
         # The default ratio belongs to the default scale.
         self._ratio_is_given = time_correlation_ratio is not None
@@ -72,6 +76,8 @@ class StudentT:
             time_correlation_ratio = TIME_CORRELATION_RATIO if is_default else 0.0
         if scale is None:
             scale = DEFAULT_SCALE.copy()
+        if scale_is_relative is None:
+            scale_is_relative = np.array_equal(scale, DEFAULT_SCALE)
         self.dof = dof
         self.scale = scale
         self.refers_to = refers_to
@@ -79,20 +85,16 @@ class StudentT:
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
         self.jitter_cov = jitter_cov
+        self.scale_is_relative = scale_is_relative
         # What ``predict`` uses; ``fit`` replaces it.
         self.dof_ = dof
         self.scale_ = scale
 
-    @property
-    def scale_is_assumed(self) -> bool:
-        """Whether its scale is the default one, which the odometry learns online
-        (``has_assumed_scale``)."""
-        return np.array_equal(self.scale_, DEFAULT_SCALE)
-
     def fit(
         self, predictors: FloatArray, residuals: FloatArray, *, error_cov: FloatArray | None = None
     ) -> Self:
-        """Fit ``scale_`` and ``dof_`` by maximum likelihood (EM).
+        """Fit ``scale_`` and ``dof_`` by maximum likelihood (EM). The scale is then no longer
+        relative.
 
         Args:
             predictors: of N features, [N, M]; they have no influence.
@@ -105,6 +107,7 @@ class StudentT:
         fitted = fit_static(np.asarray(residuals, dtype=np.float64), error_cov)
         self.scale_ = fitted.scale[0]
         self.dof_ = float(fitted.dof[0])
+        self.scale_is_relative = False
         if not self._ratio_is_given:
             self.time_correlation_ratio = 0.0
         return self
@@ -142,6 +145,7 @@ class StudentT:
             "dof": "inf" if np.isinf(self.dof_) else float(self.dof_),
             "refers_to": self.refers_to,
             "time_correlation_ratio": float(self.time_correlation_ratio),
+            "scale_is_relative": bool(self.scale_is_relative),
             **origin_facts(self.camera, self.training),
         }
         arrays: dict[str, AnyArray] = {"scale": np.asarray(self.scale_, dtype=np.float64)}
@@ -169,6 +173,7 @@ class StudentT:
             training=facts.training,
             time_correlation_ratio=facts.time_correlation_ratio,
             jitter_cov=jitter_cov_of(file),
+            scale_is_relative=facts.scale_is_relative,
         )
 
 
@@ -179,3 +184,5 @@ class _Facts(OriginFacts):
     """JSON has no infinity."""
     refers_to: RefersTo
     time_correlation_ratio: float = Field(0.0, ge=0, le=1e6)
+    scale_is_relative: bool | None = None
+    """Older files do not state it."""

@@ -195,10 +195,14 @@ def test_features_that_drop_out_do_not_decide_on_time_correlation(
     likelihoods = []
 
     def without_unlikely(
-        context: TrainingContext, model: NoiseModel, on_part: Callable[[float], None]
+        context: TrainingContext,
+        model: NoiseModel,
+        on_part: Callable[[float], None],
+        *,
+        factors: FloatArray | None = None,
     ) -> ErrorSamples:
         """Leave out the unlikeliest twentieth where the model may have time correlation."""
-        samples = gather_error_samples(context, model, on_part)
+        samples = gather_error_samples(context, model, on_part, factors=factors)
         if len(likelihoods) > STATIC_ITERATIONS:
             likely = samples.log_likelihood > np.quantile(samples.log_likelihood, 0.05)
             arrays = ("features", "phi", "errors", "spread", "groups", "log_likelihood", "profile")
@@ -311,12 +315,12 @@ def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     np.testing.assert_allclose(with_bias.mean(axis=0), [0.4, 0.0, 0.4, 0.0], atol=0.12)
 
 
-def correlated(rho: float) -> DriveInMemory:
-    """Errors in the left and the right image of that correlation, and of σ = 0.4 px and 4 dof."""
+def simulated(rho: float, sigma_px: float) -> PointWorld:
+    """Errors in the left and the right image of that correlation and σ, and of 4 dof."""
     noise = {
         "law": "constant",
-        "sigma_low_px": 0.4,
-        "sigma_high_px": 0.4,
+        "sigma_low_px": sigma_px,
+        "sigma_high_px": sigma_px,
         "correlation": rho,
         "dof": 4.0,
     }
@@ -329,7 +333,11 @@ def correlated(rho: float) -> DriveInMemory:
             "outliers": {"fraction": 0.0},
         }
     )
-    there = simulate_points(config, 4.0, np.random.default_rng(0))
+    return simulate_points(config, 4.0, np.random.default_rng(0))
+
+
+def correlated(rho: float) -> DriveInMemory:
+    there = simulated(rho, sigma_px=0.4)
     return DriveInMemory(drive_of(there), there.camera, known(there))
 
 
@@ -343,6 +351,20 @@ def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None
     correlation = model.scale_ / np.outer(sigma, sigma)
     np.testing.assert_allclose([correlation[0, 2], correlation[1, 3]], [rho, rho], atol=0.08)
     np.testing.assert_allclose(sigma * np.sqrt(model.dof_ / (model.dof_ - 2.0)), 0.4, rtol=0.1)
+
+
+@pytest.mark.parametrize("kind", ["none", "gt"])
+def test_recordings_of_different_noise_are_not_taken_for_heavy_tails(kind: str) -> None:
+    """σ of 0.1 and 0.4 px: the size of each is found to 10 %, and the tails are those of each."""
+    worlds = [simulated(rho=0.0, sigma_px=sigma_px) for sigma_px in (0.1, 0.4)]
+    drives = [DriveInMemory(drive_of(world), world.camera, known(world, kind)) for world in worlds]
+    settings = TrainSettings(kind="student-t", gk=KernelSettings(time_correlation=False))
+    model = learn_student_t(context_of(drives, settings))
+    assert model.scale_is_relative
+    factors = np.array(model.training["recording_factors"])
+    variances = factors * np.diagonal(model.scale_).mean() * model.dof_ / (model.dof_ - 2.0)
+    np.testing.assert_allclose(np.sqrt(variances), [0.1, 0.4], rtol=0.1)
+    assert 3.0 < model.dof_ < 5.5
 
 
 def test_of_two_drives_both_are_learned_from() -> None:

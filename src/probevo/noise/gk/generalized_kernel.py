@@ -106,6 +106,12 @@ class GeneralizedKernel:
         """Names of the predictors, in their order."""
         return self.metric_.columns
 
+    @property
+    def scale_is_relative(self) -> bool:
+        """Whether the odometry learns online how large the errors of a recording are against those
+        of the training (``has_relative_scale``); not as published."""
+        return self.variant == "robust"
+
     def fit(
         self,
         predictors: FloatArray,

@@ -20,7 +20,7 @@ from pydantic import Field, field_validator
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.noise.base import NoiseModel, StereoNoise, has_assumed_scale
+from probevo.noise.base import NoiseModel, StereoNoise, has_relative_scale
 from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric, have_shapes
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
@@ -77,9 +77,9 @@ class NearestNeighbors:
         return self.metric_.columns
 
     @property
-    def scale_is_assumed(self) -> bool:
+    def scale_is_relative(self) -> bool:
         """Whether the scale of the static model is assumed; β is only relative between features."""
-        return has_assumed_scale(self.base)
+        return has_relative_scale(self.base)
 
     def fit(
         self,

@@ -17,6 +17,7 @@ from probevo.output.inspection.training_facts import (
     noise_of_text,
     origin,
     scale_table,
+    sizes_text,
     time_correlation_text,
 )
 from probevo.output.page import grid, panel, table_panel
@@ -50,6 +51,16 @@ def sections(subject: Subject) -> Findings:
         pictures = dict(of_frame.pictures)
         shown += of_frame.sections
     shown.append(settings_section(training))
+    facts = {
+        "Trained on": origin(training) or "not known",
+        "ν": readable(model.dof_),
+        "Time-correlated error": time_correlation_text(model.time_correlation_ratio),
+        "Rig": learned_jitter_text(model.jitter_cov),
+        "Noise of": noise_of_text(model.refers_to),
+    }
+    sizes = sizes_text(training)
+    if sizes:
+        facts["Errors"] = sizes
     return Findings(
         sections=tuple(shown),
         text=f"{scale.as_text()}\nν = {model.dof_:.3g}",
@@ -58,13 +69,7 @@ def sections(subject: Subject) -> Findings:
             f"σ, correlation: of the scale matrix. {_spread_note(model)}",
             "ν: degrees of freedom of the Student-t; the fewer, the more outliers.",
         ),
-        facts={
-            "Trained on": origin(training) or "not known",
-            "ν": readable(model.dof_),
-            "Time-correlated error": time_correlation_text(model.time_correlation_ratio),
-            "Rig": learned_jitter_text(model.jitter_cov),
-            "Noise of": noise_of_text(model.refers_to),
-        },
+        facts=facts,
         pictures=pictures,
     )
 
@@ -81,6 +86,9 @@ def summary(model: StudentT) -> TrainingSummary:
         "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
         "rig": learned_jitter_text(model.jitter_cov),
     }
+    sizes = sizes_text(training)
+    if sizes:
+        facts["errors"] = sizes
     kept = kept_text(training)
     if kept:
         facts["kept"] = kept

@@ -85,6 +85,18 @@ def kept_text(training: Mapping[str, Any]) -> str:
     )
 
 
+def sizes_text(training: Mapping[str, Any]) -> str:
+    """Say how large the errors of the recordings are against the model; empty for one recording."""
+    factors = training.get("recording_factors", [])
+    if len(factors) < 2:
+        return ""
+    ratios = np.sqrt(factors)
+    return (
+        f"of the recordings differ: {ratios.min():.2f} to {ratios.max():.2f} times as large as the"
+        " model says (σ); that of a new recording is learned while it runs"
+    )
+
+
 def em_note(training: Mapping[str, Any], initial: str) -> str:
     """Explain the figure of the EM iterations, given what the first one began with."""
     kept = kept_text(training)

@@ -12,7 +12,7 @@ from probevo.arrays import FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.noise.base import NoiseModel
+from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.training.gk.expectation import expect
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
@@ -76,6 +76,11 @@ class ErrorSamples:
     """Distance between the estimated and the true end of each drive whose ends are known."""
 
     @property
+    def drives(self) -> IntArray:
+        """Number of the drive of each feature, [N]."""
+        return self.groups // BLOCKS_A_DRIVE
+
+    @property
     def likelihoods(self) -> FeatureLikelihoods:
         """The likelihood of each feature."""
         return FeatureLikelihoods(self.features, self.log_likelihood)
@@ -97,6 +102,8 @@ class _Task:
     """Number of features of all drives before this one."""
     drive: SupervisedDrive
     model: NoiseModel
+    factor: float
+    """Factor of the model's variances in this drive."""
     settings: TrainSettings
     share: float
     """Share of the features to draw."""
@@ -105,14 +112,19 @@ class _Task:
 
 
 def gather_error_samples(
-    context: TrainingContext, model: NoiseModel, on_part: Callable[[float], None]
+    context: TrainingContext,
+    model: NoiseModel,
+    on_part: Callable[[float], None],
+    *,
+    factors: FloatArray | None = None,
 ) -> ErrorSamples:
     """Compute the errors of the features of all drives under a noise model.
 
     Args:
-        context: the drives, the settings and the workers.
+        context: the D drives, the settings and the workers.
         model: the noise model of the E-step.
         on_part: called with the share of the work that is done, 0 … 1.
+        factors: factor of the model's variances in each drive, [D]; 1 by default.
 
     Raises:
         InputError: there is nothing to learn from, or what ``Workers.map`` raises.
@@ -132,6 +144,7 @@ def gather_error_samples(
             first_feature=first_features[number],
             drive=drive,
             model=model,
+            factor=1.0 if factors is None else float(factors[number]),
             settings=context.settings,
             share=share,
             blocks=blocks[number],
@@ -168,9 +181,15 @@ def blocks_of(steps: Sequence[int]) -> list[int]:
 
 def _samples_of_drive(task: _Task) -> ErrorSamples:
     """Compute the errors of one drive."""
+
+    def predict(phi: FloatArray) -> StereoNoise:
+        """Predict the noise of n features of this drive, [n, M]."""
+        noise = task.model.predict(phi)
+        return noise if task.factor == 1.0 else noise.scaled(np.full(len(phi), task.factor))
+
     expectation = expect(
         task.drive,
-        task.model.predict,
+        predict,
         _solver(task.settings),
         truth_sigma=_truth_sigma(task.settings.gk),
         share=task.share,

@@ -31,6 +31,7 @@ from probevo.training.gk.error_samples import (
     gather_error_samples,
 )
 from probevo.training.gk.jitter import initial_covariance, learned_covariance
+from probevo.training.gk.recording_factors import fit_with_factors, recording_factors
 from probevo.training.gk.time_correlation import TimeCorrelationProfile, smallest_likely_ratio
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import TrainingContext
@@ -75,24 +76,36 @@ def learn_student_t(context: TrainingContext) -> StudentT:
             model = stored
         else:
             # E-step: motions given the noise, and the errors of the features at these motions.
-            samples = gather_error_samples(context, model, context.progress.within_iteration)
+            factors = recording_factors(model.training, len(context.drives))
+            samples = gather_error_samples(
+                context, model, context.progress.within_iteration, factors=factors
+            )
             # The likelihoods are those of the model before the M-step: the first iteration with
             # time correlation evaluates the last model without.
             if number == STATIC_ITERATIONS:
                 without = samples.likelihoods
             # M-step: the Student-t of these errors, whose uncertainty is their spread.
-            model.fit(samples.phi, samples.errors, error_cov=samples.spread)
+            factors = fit_with_factors(model, samples, factors)
+            model.scale_is_relative = True
             model.jitter_cov = updated_jitter(model.jitter_cov, samples)
             if number >= STATIC_ITERATIONS:
                 model.time_correlation_ratio = updated_time_correlation(
                     model.time_correlation_ratio, samples
                 )
             iterations = [*model.training["iterations"], samples.progress]
-            training: dict[str, Any] = {"iterations": iterations}
+            training: dict[str, Any] = {
+                "iterations": iterations,
+                "recording_factors": factors.tolist(),
+            }
             if settings.learns_time_correlation and number == last:
                 if without is None:
                     # That iteration was done before the training was stopped and resumed.
-                    without = gather_error_samples(context, uncorrelated, _unreported).likelihoods
+                    without = gather_error_samples(
+                        context,
+                        uncorrelated,
+                        _unreported,
+                        factors=recording_factors(uncorrelated.training, len(context.drives)),
+                    ).likelihoods
                 training["time_correlation_gain"] = samples.likelihoods.gain_over(without)
             model.training = training
             context.checkpoint.keep_em_model(number, model)
@@ -107,6 +120,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
             model = uncorrelated
             iterations = iterations[: STATIC_ITERATIONS + 1]
             kept["kept_iteration"] = STATIC_ITERATIONS
+    kept["recording_factors"] = model.training["recording_factors"]
     model.training = training_facts(context, iterations, searches={}) | kept
     return model
 
@@ -160,6 +174,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     # consecutively, for the checkpoint.
     static = learn_student_t(context)
     previous: Model = static
+    factors: FloatArray | None = recording_factors(static.training, len(context.drives))
     model = GeneralizedKernel()
     history = _KernelHistory(iterations=[], searches={}, given=settings.given())
     first = num_static_iterations(context.settings)
@@ -170,7 +185,10 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
         else:
             # E-step: motions given the noise, and the errors of the features at these motions.
             samples = gather_error_samples(
-                context, previous, lambda share: context.progress.within_iteration(0.5 * share)
+                context,
+                previous,
+                lambda share: context.progress.within_iteration(0.5 * share),
+                factors=factors,
             )
             # M-step: the kernel over these errors.
             model = GeneralizedKernel(
@@ -201,6 +219,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
         history = _KernelHistory.of_facts(model.training)
         model.weights_ = history.given["weights"]
         previous = model
+        factors = None  # the kernel predicts how large the errors are
         context.progress.iteration_done()
 
     # One more E-step measures how well the last model explains the residuals.
