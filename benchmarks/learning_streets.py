@@ -1,15 +1,15 @@
 """What learned noise gains on many streets, each another place: docs/window.md.
 
-    python benchmarks/learning_streets.py [--drives 4] [--models out/window_learning]
+    python benchmarks/learning_streets.py [--drives 4] [--models DIR] [--streets DIR]
 
 A single drive says little of what learning gains: its drift is mostly the error of one scale. Here
-the models of ``window_learning.py``, learned without truth from a rendered city, are tested on
-four other cities and four residential streets, clean and with effects. For the window and for two
-frames, by images alone, it prints of each drive the drift, %, the rotation, °/m, over pieces of 10
-to 50 m, and the NEES of a step over its 6 dimensions; and then, over the drives of a kind, the
-geometric means of the untrained model, the ratio of each learned one to it with the standard error
-of that ratio, and on how many it is less. With ``--streets``, the rendered drives are kept there,
-and those that exist are not rendered again.
+the static Student-t and generalized kernels, learned without truth from a rendered city, are tested
+on four other cities and four residential streets, clean and with effects, with two frames and with
+the window, by images alone. Prints the drift, %, and the rotation, °/m, over pieces of 10 to 50 m
+of each drive, and the NEES of its steps over their 6 dimensions; and then, over the drives of a
+kind, the geometric mean of the untrained model, the ratio of each learned one to it with the
+standard error of that ratio, and on how many drives it is less. With ``--streets``, the rendered
+drives are kept there, and those that exist are not rendered again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from window import EFFECTS
-from window_learning import learned_from_streets
+from window_learning import learned_noises
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -32,6 +32,10 @@ from probevo.evaluation.metrics import evaluate
 from probevo_sim.scene.config import Effects, SceneConfig
 from probevo_sim.scene.writer import write_scene
 
+TRAINING_STREETS = (
+    SceneConfig(preset="city", seed=1, distance_m=100.0),
+    SceneConfig(preset="city", seed=2, distance_m=100.0, effects=EFFECTS),
+)
 STREETS = {
     f"{preset}, {condition}": (preset, effects)
     for preset in ("city", "residential")
@@ -42,6 +46,19 @@ FIRST_SEED = 3100
 DISTANCE_M = 60.0
 ESTIMATORS = ("two-frame", "window")
 QUANTITIES = ("drift", "rotation", "NEES")
+
+
+def learned_from_streets(models: Path) -> dict[str, str]:
+    """Return the noise models that are learned from rendered streets, by their names."""
+    with tempfile.TemporaryDirectory() as folder:
+
+        def streets() -> list[Path]:
+            """Render the streets to learn from."""
+            for number, config in enumerate(TRAINING_STREETS):
+                write_scene(config, Path(folder) / str(number), jobs=2)
+            return [Path(folder) / str(number) for number in range(len(TRAINING_STREETS))]
+
+        return learned_noises(models, "rendered", streets)
 
 
 def errors(street: SceneConfig, folder: Path, noises: list[str]) -> FloatArray:

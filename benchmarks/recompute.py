@@ -159,8 +159,14 @@ FIGURES = (
         "window-learning",
         ("docs/window.md",),
         "python benchmarks/window_learning.py",
-        minutes=40,
+        minutes=15,
         needs_data=True,
+    ),
+    Figure(
+        "learning-streets",
+        ("docs/window.md",),
+        "python benchmarks/learning_streets.py",
+        minutes=60,
     ),
     Figure(
         "window-imu",

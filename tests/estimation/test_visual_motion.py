@@ -28,7 +28,14 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise import Fixed, NearestNeighbors, NoiseModel, StereoNoise, StudentT
+from probevo.noise import (
+    Fixed,
+    GeneralizedKernel,
+    NearestNeighbors,
+    NoiseModel,
+    StereoNoise,
+    StudentT,
+)
 from probevo.noise.base import has_relative_scale
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -260,13 +267,15 @@ def test_a_scale_that_was_given_is_kept() -> None:
     given = StudentT(4.0, 0.03 * np.eye(4))
     fitted = StudentT(4.0).fit(np.zeros((50, 0)), np.random.default_rng(0).normal(size=(50, 4)))
     read = StudentT.from_file(fitted.to_file())
-    for noise in (given, fitted, read, NearestNeighbors(base=given), Fixed()):
+    published = GeneralizedKernel("published")
+    for noise in (given, fitted, read, NearestNeighbors(base=given), Fixed(), published):
         assert not has_relative_scale(noise)
     relative = Scaled(4.0, 0.03 * np.eye(4))
     models = (StudentT(), StudentT(4.0), relative)
     for noise in (*models, *(StudentT.from_file(model.to_file()) for model in models)):
         assert has_relative_scale(noise)
         assert has_relative_scale(NearestNeighbors(base=noise))
+    assert has_relative_scale(GeneralizedKernel())
     assert estimate(tracks, noise=given).estimated_noise_factor is None
 
 
