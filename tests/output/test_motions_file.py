@@ -42,6 +42,7 @@ def test_a_run_comes_back_as_it_was(
         run = replace(
             run,
             other_camera="is wider",
+            noise_is_learned=True,
             imu_left_out="contradicts the images",
             imu_fault=ImuFault.CONTRADICTION,
             imu_unused_from=7,

@@ -1,5 +1,6 @@
 """The warnings of a run: which steps count, and what is said of them."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from probevo.output.run_warnings import (
     fixed_warning,
     focal_warning,
     imu_warning,
+    noise_warning,
     repetition_warning,
     rest_warning,
     rows_warning,
@@ -193,6 +195,20 @@ def test_a_noise_model_of_another_camera_is_named_with_the_difference() -> None:
     said = camera_warning("it was trained with another camera: this one's baseline is 1 m.")
     assert said is not None
     assert said.startswith("Of the noise model: it was trained with another camera: this one's")
+
+
+@pytest.mark.parametrize(("sigma", "said"), [(2.0, None), (0.5, None), (3.0, "3"), (0.3, "0.3")])
+def test_errors_unlike_those_of_the_training_are_warned_of(
+    sigma: float, said: str | None, make_run: Callable[..., RunResult]
+) -> None:
+    run = replace(make_run(30), noise_factor=np.full(29, sigma**2))
+    assert noise_warning(run) is None  # an untrained model knows no size
+    warning = noise_warning(replace(run, noise_is_learned=True))
+    if said is None:
+        assert warning is None
+    else:
+        assert warning is not None
+        assert warning.startswith(f"The errors of the features are {said} times as large (σ)")
 
 
 def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:

@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+SCATTER = 0.85
+"""Standard deviation of the logarithm of the factor between recordings."""
 PRIOR_STEPS = 1.0
-"""Steps that the noise model counts for. The logarithm of the factor scatters by 0.85 between
-recordings, and by 0.1 to 0.5 between the steps of one: a step tells more than the model."""
+"""Steps that the noise model counts for. Between the steps of a recording, the logarithm scatters
+by 0.1 to 0.5: a step tells more than the model."""
 MEMORY_STEPS = 100.0
 """Steps after which a step has lost 1 − 1/e of its influence: light and blur change meanwhile."""
 MAX_FACTOR = 100.0

@@ -64,6 +64,11 @@ def other_camera(model: NoiseModel, camera: StereoCamera) -> str | None:
     return None
 
 
+def is_learned(model: NoiseModel) -> bool:
+    """Return whether a model says that it was learned from recordings."""
+    return bool(getattr(model, "training", None))
+
+
 def portable(spec: str) -> str:
     """Return ``spec`` so that it holds in any working directory: a path is made absolute."""
     return spec if spec in untrained_names() else str(Path(spec).resolve())

@@ -119,6 +119,7 @@ _OPTIONAL = {
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),
     "other_camera": _Optional(None, str),
+    "noise_is_learned": _Optional((), bool, int),
     "imu_left_out": _Optional(None, str),
     "imu_fault": _Optional(None, _fault, attrgetter("value")),
     "imu_unused_from": _Optional((), int),

@@ -178,6 +178,8 @@ class RunResult:
     ones are, and 0 also where nothing is known."""
     other_camera: str | None = None
     """In what the camera differs from that of the noise model's training; None if it does not."""
+    noise_is_learned: bool = False
+    """Whether the noise model was learned from recordings."""
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run, the most frequent reason since it
     was last used; None if it did, or there was none."""

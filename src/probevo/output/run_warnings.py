@@ -7,6 +7,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
+from probevo.estimation.noise_scale import SCATTER
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import relative_motions
@@ -46,6 +47,9 @@ SCALE_SIGMAS = 3.0
 ROW_SIGMAS = 3.0
 """Errors of the rows, in standard deviations of their prior, that no rectification leaves. Those of
 KITTI, the largest of the recordings here, are 2.0 to 2.3."""
+NOISE_SIGMAS = 2.0
+"""Standard deviations between recordings by which the size of their errors no longer differs by
+chance."""
 MAX_FIXED = 0.01
 """Share of features at rest, among those that should have moved, that is no longer due to chance.
 Without a part of the vehicle in view, it is 0.0001 at most on KITTI, Karlsruhe and EuRoC; before a
@@ -82,6 +86,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "At rest in a scene that moves": rest_warning(result.steps_at_rest),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
+        "Size of the noise": noise_warning(result),
         "IMU": imu_warning(
             result.imu_left_out,
             result.imu_fault,
@@ -243,6 +248,21 @@ def camera_warning(difference: str | None) -> str | None:
     return (
         f"Of the noise model: {difference} Its covariances may be too small or too large here:"
         " `probevo compare` it with student-t, and train one with this camera."
+    )
+
+
+def noise_warning(result: RunResult) -> str | None:
+    """Warn of a learned noise model if the errors of the features are larger or smaller than in its
+    training by more than recordings usually differ; else None."""
+    if not result.noise_is_learned or result.noise_factor is None or not len(result.noise_factor):
+        return None
+    log_factor = float(np.median(np.log(result.noise_factor)))
+    if abs(log_factor) < NOISE_SIGMAS * SCATTER:
+        return None
+    return (
+        f"The errors of the features are {np.exp(0.5 * log_factor):.2g} times as large (σ) as where"
+        " the noise model was learned. That is taken into account, but how features compare may"
+        " differ as well: `probevo compare` it with student-t, and train one on such recordings."
     )
 
 

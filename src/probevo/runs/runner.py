@@ -25,7 +25,7 @@ from probevo.geometry import se3
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
-from probevo.noise.named import noise_model, other_camera, portable
+from probevo.noise.named import is_learned, noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
@@ -294,6 +294,7 @@ class _Records:
             smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
+            noise_is_learned=is_learned(odometry.noise),
             imu_noise_factor=Inertial.of(odometry.window).noise_factor_in_use,
         )
 
