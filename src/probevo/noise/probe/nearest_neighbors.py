@@ -78,7 +78,7 @@ class NearestNeighbors:
 
     @property
     def scale_is_relative(self) -> bool:
-        """Whether the scale of the static model is assumed; β is only relative between features."""
+        """Whether that of the static model is; β only compares features with each other."""
         return has_relative_scale(self.base)
 
     def fit(

@@ -86,7 +86,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
                 without = samples.likelihoods
             # M-step: the Student-t of these errors, whose uncertainty is their spread.
             factors = fit_with_factors(model, samples, factors)
-            model.scale_is_relative = True
+            model.scale_is_relative = True  # that of a new recording is not known
             model.jitter_cov = updated_jitter(model.jitter_cov, samples)
             if number >= STATIC_ITERATIONS:
                 model.time_correlation_ratio = updated_time_correlation(

@@ -15,14 +15,13 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.noise.student_t import StudentT
+from probevo.noise.student_t_arrays import DIM
 from probevo.training.gk.error_samples import ErrorSamples
 
 ROUNDS = 4
 """Fits of model and factors in turn in an M-step. The next one goes on from there."""
 SCALE_ITERATIONS = 20
 """Iterations for the factor of a recording under a given model."""
-DIM = 4
-"""Coordinates of an observation."""
 
 
 def recording_factors(training: Mapping[str, Any], num_recordings: int) -> FloatArray:
