@@ -1,4 +1,4 @@
-"""What learned noise gains on many streets, each another place: docs/window.md.
+"""What learned noise gains on many drives through streets: docs/window.md.
 
     python benchmarks/learning_streets.py [--drives 4] [--models DIR] [--streets DIR]
 
@@ -42,7 +42,8 @@ STREETS = {
     for condition, effects in (("clean", Effects()), ("effects", EFFECTS))
 }
 FIRST_SEED = 3100
-"""No model was learned from, and no setting chosen on, this and the following ones."""
+"""No model was learned from, and no setting chosen on, this and the following ones. A place has the
+same seed clean and with effects."""
 DISTANCE_M = 60.0
 ESTIMATORS = ("two-frame", "window")
 QUANTITIES = ("drift", "rotation", "NEES")
