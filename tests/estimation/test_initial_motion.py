@@ -5,9 +5,9 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig, SolverConfig
-from probevo.estimation.initial_motion import MIN_INLIERS, are_enough, initial_motion
+from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import Consensus
+from probevo.estimation.ransac import MIN_INLIERS, Consensus
 from probevo.geometry import se3, so3
 from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation

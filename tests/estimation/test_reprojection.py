@@ -359,3 +359,18 @@ def test_every_noise_model_uses_the_same_compiled_loops() -> None:
                 )
                 compiled.add(tuple(len(loop.signatures) for loop in COMPILED_LOOPS))
     assert len(compiled) == 1
+
+
+def test_a_singular_scale_is_that_of_an_unknown_point_in_any_order() -> None:
+    known = 0.04 * np.eye(4)
+    scales = np.array([known, np.zeros((4, 4)), 100.0 * known])
+    observed = np.ascontiguousarray(np.tile([300.0, 200.0, 280.0, 200.0], (3, 1)))
+    for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
+        point_cov = np.zeros((3, 4, 4))
+        observation_to_point(
+            observed, scales[order], True, point=np.empty((3, 3)), point_cov=point_cov
+        )
+        variance = point_cov[:, 0, 0]
+        np.testing.assert_allclose(variance[order.index(0)], 0.04, rtol=0.01)
+        np.testing.assert_allclose(variance[order.index(2)], 4.0, rtol=0.01)
+        assert variance[order.index(1)] == 1e6

@@ -402,6 +402,7 @@ def test_the_noise_for_a_window_has_the_whole_excess_of_the_current_frame() -> N
     claim too much."""
     predicted = 0.04 * np.eye(4)
     factors = []
+    num_enlarged = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         tracks = seen_twice(rng, 100, sigma_px=0.2, depth_m=(4.0, 10.0))
@@ -410,6 +411,12 @@ def test_the_noise_for_a_window_has_the_whole_excess_of_the_current_frame() -> N
         assert visual.status is Status.OK
         assert visual.noise is not None
         factors.append(visual.noise.scale[0, 0, 0] / predicted[0, 0])
+        # Where the step was enlarged, the frame before, where new landmarks are anchored, has the
+        # noise that the solve began with.
+        if visual.noise.prev_scale is not None:
+            num_enlarged += 1
+            assert visual.noise.prev_scale[0, 0, 0] < 0.5 * visual.noise.scale[0, 0, 0]
+    assert num_enlarged > 20
     # The outliers of the solve gain no weight by it, so it is rather more than less.
     assert 9.0 < np.mean(factors) < 25.0
 

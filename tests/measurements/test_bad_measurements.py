@@ -11,6 +11,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.geometry import se3, so3
 from probevo.measurements.base import Variable, VectorMeasurement, pose_of
 from probevo.measurements.correction import MotionCorrection, read_correction
 from probevo.measurements.direction import Direction
@@ -218,3 +219,36 @@ def test_a_correction_without_a_value_is_no_measurement() -> None:
     found = read_correction(Broken(), (PREV, CURR), np.eye(4), name="broken", cov=np.eye(6))
     assert found.measurements == ()
     assert found.reason == "not a finite value"
+
+
+def test_what_is_a_rotation_up_to_rounding_is_made_one() -> None:
+    """Inverses are transposes; a file of six digits is no rotation to the last one."""
+    rounded = np.eye(3)
+    rounded[0] *= 1.0004
+    rotation = RelativeRotation(rounded, np.eye(3), POSE)
+    np.testing.assert_allclose(rotation.C_curr_prev @ rotation.C_curr_prev.T, np.eye(3), atol=1e-12)
+    pose = np.eye(4)
+    pose[:3, :3] = rounded
+    motion = RelativePose(pose, np.eye(6), POSE)
+    C = motion.T_curr_prev[:3, :3]
+    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch_deg", [90.0, 86.0, -90.0])
+def test_a_camera_that_looks_straight_up_or_down_has_no_heading(pitch_deg: float) -> None:
+    """There, a compass would pin the attitude by a Jacobian without bounds."""
+    pitch = math.radians(pitch_deg)
+    T_cam_world = se3.from_parts(so3.exp(np.array([pitch, 0.0, 0.0])), np.zeros(3))
+    assert np.isnan(Heading(POSE, 0.3, 0.02).residual({POSE: T_cam_world})).all()
+    level = se3.from_parts(so3.exp(np.array([0.9 * pitch, 0.0, 0.0])), np.zeros(3))
+    assert np.isfinite(Heading(POSE, 0.3, 0.02).residual({POSE: level})).all()
+
+
+def test_a_direction_that_was_not_seen_is_no_mistake() -> None:
+    """NaN is what a sensor without a fix gives, here as elsewhere."""
+    down = np.array([0.0, 1.0, 0.0])
+    for unseen in (
+        Direction(POSE, np.full(3, np.nan), down, np.eye(2)),
+        Direction.of_angles(POSE, (math.nan, math.nan), down, np.eye(2)),
+    ):
+        assert np.isnan(unseen.residual({POSE: np.eye(4)})).all()

@@ -171,7 +171,10 @@ def test_beyond_the_gate_nothing_pulls(dof: float) -> None:
 
 @pytest.mark.parametrize("dof", [2.0, 5.0, np.inf])
 def test_information_is_the_scatter_of_the_gradient(dof: float) -> None:
-    """Fisher's, (ν + d)/(ν + d + 2) Jᵀ Σ⁻¹ J of a Student-t, over 20,000 draws: 3 % of scatter."""
+    """On average it is Fisher's, (ν + d)/(ν + d + 2) Jᵀ Σ⁻¹ J of a Student-t.
+
+    Over 20,000 draws, which scatter by 3 %.
+    """
     rng = np.random.default_rng(1)
     count = 20_000
     measurement = Linear(COVARIANCE, dof=dof)
@@ -179,13 +182,33 @@ def test_information_is_the_scatter_of_the_gradient(dof: float) -> None:
     residuals = mixing * rng.multivariate_normal(np.zeros(3), COVARIANCE, count)
     places = -residuals @ np.linalg.inv(Linear.A).T
     gradients = np.array([measurement.linearize({OFFSET: x}).gradient for x in places])
-    information = measurement.information({OFFSET: np.zeros(3)})
+    information = np.mean([measurement.information({OFFSET: x}) for x in places], axis=0)
     plain = Linear.A.T @ np.linalg.inv(COVARIANCE) @ Linear.A
     share = 1.0 if np.isinf(dof) else (dof + 3.0) / (dof + 5.0)
-    np.testing.assert_allclose(information, share * plain, rtol=1e-6)
+    np.testing.assert_allclose(information, share * plain, rtol=0.01)
     white = np.linalg.inv(np.linalg.cholesky(information))
     scatter = white @ (gradients.T @ gradients / count) @ white.T
     np.testing.assert_allclose(scatter, np.eye(3), atol=0.03)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_outlier_of_a_student_t_tells_nothing(count: int) -> None:
+    """1,000 σ off, it is given no weight, and no covariance may shrink by it."""
+
+    class Plain(VectorMeasurement):
+        """A measured vector."""
+
+        variables = (OFFSET,)
+
+        def residual(self, values: Values) -> FloatArray:
+            """Return minus the value: what was measured is zero."""
+            return -values[OFFSET]
+
+    measurement = Plain(np.eye(count), dof=3.0)
+    fits = measurement.information({OFFSET: np.zeros(count)})
+    tells_nothing = measurement.information({OFFSET: np.full(count, 1e3)})
+    np.testing.assert_allclose(fits, (3.0 + count) / 3.0 * np.eye(count), rtol=1e-6)
+    assert np.abs(tells_nothing).max() < 1e-5
 
 
 def test_outcome_is_distance_and_relative_weight() -> None:

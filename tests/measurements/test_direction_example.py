@@ -88,7 +88,7 @@ def run(seed: int, *, with_sensor: bool) -> list[pv.MotionEstimate]:
 
 def attitude_error(estimate: pv.MotionEstimate, index: int) -> FloatArray:
     """Return φ of the estimated attitude against the true one, [3], rad."""
-    C_estimated = se3.inverse(estimate.T_world_cam)[:3, :3]
+    C_estimated = estimate.T_cam_world[:3, :3]
     return so3.log(true_pose(index)[:3, :3] @ C_estimated.T)
 
 
@@ -112,7 +112,7 @@ def test_a_direction_bounds_the_drift_of_the_attitude() -> None:
     across = np.eye(3) - np.outer(down, down)
     bounds = np.array([fisher_bound(estimates)[3:, 3:] for estimates in blind])
     # The claimed covariance of the pose is the bound.
-    claimed = np.array([estimates[-1].pose_cov[3:, 3:] for estimates in sensed])
+    claimed = np.array([estimates[-1].cov_cam_world[3:, 3:] for estimates in sensed])
     assert np.allclose(claimed, bounds, rtol=0.05, atol=0.02 * bounds.max())
     # The errors agree with it: their normalized squares are those of χ² with 3 degrees of freedom.
     errors = np.array([attitude_error(estimates[-1], last) for estimates in sensed])

@@ -271,3 +271,13 @@ def test_no_accelerometer_is_a_reason() -> None:
     found = preintegrate(imu, START_NS, END_NS, CALIBRATION)
     assert isinstance(found, NoPreintegration)
     assert found.reason.fault is ImuFault.NO_ACCELEROMETER
+
+
+def test_an_imu_without_noise_has_a_covariance_with_an_inverse() -> None:
+    """A simulated one may have densities of 0; a window that could not invert would leave it
+    out."""
+    perfect = replace(CALIBRATION, gyro_noise_rad_s_sqrt_hz=0.0, accel_noise_m_s2_sqrt_hz=0.0)
+    found = preintegrate(random_samples(5), START_NS, END_NS, perfect)
+    assert isinstance(found, Preintegration)
+    np.testing.assert_allclose(np.linalg.inv(found.cov) @ found.cov, np.eye(9), atol=1e-6)
+    assert np.sqrt(np.diagonal(found.cov)).max() < 1e-6

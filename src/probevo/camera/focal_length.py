@@ -38,6 +38,8 @@ NOTICEABLE = 0.01
 MAX_BY_LENSES = 0.04
 """|ε| that remaining lens distortion can cause: up to 0.035 on KITTI, whose focal length is right
 within a percent according to the true rotations."""
+MIN_EXCESS = 2.0
+"""Smallest excess over ``MAX_BY_LENSES`` in units of σ that is warned of."""
 MIN_RATIO = 3.0
 """Smallest |ε| in units of σ that is reported."""
 FIRST_BLOCK_FRAMES = 5
@@ -157,5 +159,7 @@ class FocalLengthError:
 
     @property
     def exceeds_lenses(self) -> bool:
-        """Whether the contradiction is larger than remaining lens distortion can cause."""
-        return self.is_noticeable and abs(self.log_ratio) > MAX_BY_LENSES
+        """Whether the contradiction is larger than remaining lens distortion can cause, beyond
+        chance."""
+        excess = abs(self.log_ratio) - MAX_BY_LENSES
+        return self.is_noticeable and excess > MIN_EXCESS * self.sigma

@@ -8,16 +8,13 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
+from probevo.estimation.ransac import MIN_INLIERS, Consensus, InlierThreshold, find_consensus
 from probevo.geometry import se3
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.tracking.tracks import Tracks
 
-MIN_INLIERS = 0.25
-"""Least share of inliers. With fewer, the threshold is widened, and finally the motion is
-rejected."""
 WIDENINGS = (1.0, 2.0, 4.0)
-"""Multiples of RANSAC's threshold that are tried in turn."""
+"""Multiples of RANSAC's threshold that are tried in turn, until there are enough inliers."""
 NEAR_DISPARITY_PX = 2.0
 """Points with less disparity are too uncertain in depth to determine a translation."""
 

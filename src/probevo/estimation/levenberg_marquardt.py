@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,7 +22,7 @@ from probevo.measurements.base import (
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations."""
 PROPAGATE_AFTER = 1.0
-"""Squared distance, in standard deviations, from where the measurements' covariances were last
+"""Distance, in standard deviations, from where the measurements' covariances were last
 propagated, beyond which they are propagated again. Within one, their age changes the estimate by
 less than a hundredth of a standard deviation."""
 MAX_PROPAGATIONS = 50
@@ -127,7 +128,7 @@ def minimize(
     newton = False  # whether the current system has Newton's Hessian
     accepted = 0
     propagations = 1
-    distance_squared = 0.0  # sum of squared steps since the last propagation, in σ²
+    distance = 0.0  # sum of the lengths of all steps since the last propagation, in σ
     step = np.empty(layout.dof)
     for iteration in range(1, max_iterations + 1):
         if not _damped_step(system.hessian, system.gradient, damping, step):
@@ -152,7 +153,7 @@ def minimize(
             if not newton and step_squared < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
                 return Optimum(
-                    values, measurements, iteration, converged=distance_squared <= PROPAGATE_AFTER
+                    values, measurements, iteration, converged=distance <= PROPAGATE_AFTER
                 )
             # The cost has risen: retry with the IRLS Hessian, which is positive definite, then with
             # a shorter step.
@@ -168,20 +169,18 @@ def minimize(
         newton = trial_newton
         damping *= 0.1
         accepted += 1
-        distance_squared += step_squared
+        distance += math.sqrt(max(step_squared, 0.0))
         # The covariance of a triangulated point depends on the motion. If it varied within the
         # cost, the solve could reduce the cost by moving to where points are uncertain. So hold it,
         # and propagate it again only after a large move.
-        if distance_squared > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
+        if distance > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
             propagations += 1
-            distance_squared = 0.0
+            distance = 0.0
             if iteration < max_iterations:
                 measurements = tuple(each.propagated(values) for each in measurements)
                 system = layout.add_up(measurements, values, newton=newton)
         elif step_squared < CONVERGED_BELOW**2:
-            return Optimum(
-                values, measurements, iteration, converged=distance_squared <= PROPAGATE_AFTER
-            )
+            return Optimum(values, measurements, iteration, converged=distance <= PROPAGATE_AFTER)
     return Optimum(values, measurements, max_iterations, converged=False)
 
 

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
-from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
 from probevo.estimation.feature_weights import agree_with_noise, num_inliers
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import MAX_UNKNOWN, MotionEstimate, Status
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
@@ -64,8 +63,7 @@ def estimate_motion(
 
     Returns:
         The estimate. If the matches do not determine a motion, the status says so, T_curr_prev is
-        the guess, and the covariance is the limit beyond which the odometry calls a step
-        degenerate.
+        the guess, and the covariance that of a motion of which nothing is known.
 
     Raises:
         InputError: an array has a wrong shape or is not finite, left and right are swapped, a
@@ -169,6 +167,9 @@ def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
     if isinstance(noise, StereoNoise):
         if len(noise.dof) != count:
             raise InputError("noise", f"is that of {len(noise.dof)} features, not of {count}.")
+        for scale in (noise.scale, noise.prev_scale):
+            if scale is not None:
+                _check_covariances(scale)
         return noise
     if isinstance(noise, str | Path) or hasattr(noise, "predict"):
         model = as_noise(noise)
@@ -189,21 +190,30 @@ def _gaussian(noise: object, count: int) -> StereoNoise:
     """
     is_common = np.ndim(np.asarray(noise, dtype=object)) == 2
     cov = as_array(noise, "noise", (4, 4) if is_common else (count, 4, 4))
-    if not np.allclose(cov, cov.swapaxes(-1, -2), rtol=1e-6, atol=0.0):
-        raise InputError("noise", "a covariance is not symmetric.")
-    smallest = float(np.linalg.eigvalsh(cov).min(initial=np.inf))
-    if smallest < MIN_VARIANCE_PX2:
-        what = f"a covariance has the variance {brief(smallest)} px² in a direction."
-        raise InputError("noise", what, "It must be positive definite, in px².")
+    _check_covariances(cov)
     scale = np.array(np.broadcast_to(cov, (count, 4, 4)))
     dof = np.full(count, np.inf)
     return StereoNoise(scale, dof, bias=np.zeros((count, 4)), refers_to="observation")
 
 
+def _check_covariances(cov: FloatArray) -> None:
+    """Refuse covariances, [..., 4, 4], px², of which one is none.
+
+    Raises:
+        InputError: one is not finite, not symmetric, or not positive definite.
+    """
+    if not np.isfinite(cov).all():
+        raise InputError("noise", "a covariance is not finite.")
+    rounding = 1e-9 * float(np.abs(cov).max(initial=0.0))
+    if not np.allclose(cov, cov.swapaxes(-1, -2), rtol=1e-6, atol=rounding):
+        raise InputError("noise", "a covariance is not symmetric.")
+    smallest = float(np.linalg.eigvalsh(cov).min(initial=np.inf))
+    if smallest < MIN_VARIANCE_PX2:
+        what = f"a covariance has the variance {brief(smallest)} px² in a direction."
+        raise InputError("noise", what, "It must be positive definite, in px².")
+
+
 def _failed(status: Status, T_curr_prev: FloatArray, num_tracks: int) -> MotionEstimate:
-    """Return the estimate if the matches do not determine a motion: the guess, hardly known."""
-    limits = OdometryConfig().solver
-    sigma = np.repeat([limits.max_translation_sigma_m, limits.max_rotation_sigma_rad], 3)
-    return MotionEstimate(
-        T_curr_prev=T_curr_prev, cov=np.diag(sigma**2), status=status, num_tracks=num_tracks
-    )
+    """Return the estimate if the matches do not determine a motion: the guess, as unknown."""
+    cov = np.diag(MAX_UNKNOWN**2)
+    return MotionEstimate(T_curr_prev=T_curr_prev, cov=cov, status=status, num_tracks=num_tracks)

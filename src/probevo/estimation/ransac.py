@@ -11,7 +11,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point
 from probevo.compiled import compiled, copy_into, solve_positive_definite
 from probevo.geometry.se3_numba import perturb
 from probevo.measurements.robust_loss_numba import LossKind
@@ -24,7 +24,9 @@ from probevo.measurements.stereo_numba import (
 from probevo.tracking.tracks import Tracks
 
 INLIER_RATIO = 0.5
-"""Share of inliers that is assumed, as in PROBE."""
+"""Share of inliers that is assumed at first, as in PROBE."""
+MIN_INLIERS = 0.25
+"""Least share of inliers that is looked for; with fewer, no motion is accepted."""
 
 SAMPLE_ITERATIONS = 6
 """Gauss–Newton iterations for the motion of a sample, at most."""
@@ -67,7 +69,32 @@ def num_hypotheses(confidence: float) -> int:
 
     It is 35 at a confidence of 99 %, 69 at 99.99 % (Fischler & Bolles 1981).
     """
-    return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - INLIER_RATIO**3))
+    return _num_samples(INLIER_RATIO**3, confidence)
+
+
+def _num_samples(probability: float, confidence: float) -> int:
+    """Return how many samples contain a good one, with this confidence, if each is good with a
+    probability."""
+    if probability >= confidence:
+        return 1
+    return math.ceil(math.log(1.0 - confidence) / math.log1p(-probability))
+
+
+def _num_samples_needed(inliers: BoolArray, sample_size: int, confidence: float) -> int:
+    """Return how many samples of points drawn at random contain one of different inliers only, with
+    this confidence, where so many of N points are inliers.
+
+    Fewer than ``MIN_INLIERS`` are not looked for, and none among fewer points than a sample has.
+    """
+    count = len(inliers)
+    if count < sample_size:
+        return 0
+    num_inliers = max(int(inliers.sum()), math.ceil(MIN_INLIERS * count), sample_size)
+    # Of a few points, the same one is often drawn twice.
+    probability = 1.0
+    for k in range(sample_size):
+        probability *= (num_inliers - k) / count
+    return _num_samples(probability, confidence)
 
 
 def find_consensus(
@@ -98,14 +125,15 @@ def find_consensus(
         confidence: probability that at least one sample of three is free of outliers. As many
             samples of one point are drawn with a gyro, as in PROBE: fewer would do against
             outliers, but each motion has the depth noise of its point, and the best is chosen.
+            Where fewer than half of the features are inliers, more are drawn.
     """
     sample_size = 3 if C_curr_prev is None else 1
     start = np.array(guess)
     # The sample's translation is solved for; its rotation stays the gyro's.
     if C_curr_prev is not None:
         start[:3, :3] = C_curr_prev
-    samples = _drawn(len(tracks), sample_size, rng, confidence)
-    return _consensus(tracks, camera, samples, start, threshold, near=np.zeros((6, 6)))
+    problem = _Problem.of(tracks, camera, threshold, start=start, sample_size=sample_size)
+    return _consensus(problem, rng, confidence=confidence)
 
 
 def find_consensus_near(
@@ -130,59 +158,9 @@ def find_consensus_near(
         threshold: largest error of an inlier in any of u_l, v_l, u_r.
         confidence: see ``find_consensus``.
     """
-    samples = _drawn(len(tracks), 3, rng, confidence)
     near = np.ascontiguousarray(np.linalg.inv(cov), np.float64)
-    return _consensus(tracks, camera, samples, np.array(guess), threshold, near=near)
-
-
-def _drawn(count: int, sample_size: int, rng: np.random.Generator, confidence: float) -> IntArray:
-    """Draw samples of a size from so many features; none if there are fewer."""
-    if count < sample_size:
-        return np.zeros((0, sample_size), dtype=np.int64)
-    return rng.integers(count, size=(num_hypotheses(confidence), sample_size))
-
-
-def _consensus(
-    tracks: Tracks,
-    camera: StereoCamera,
-    samples: IntArray,
-    start: FloatArray,
-    threshold: InlierThreshold,
-    *,
-    near: FloatArray,
-) -> Consensus:
-    """Return the best of the motions of samples, and its inliers.
-
-    Args:
-        tracks: the N features.
-        camera: the rectified camera.
-        samples: rows of the features of each, [M, 3] or [M, 1].
-        start: the motion to start from, which competes, [4, 4].
-        threshold: largest error of an inlier.
-        near: see ``_Problem``.
-    """
-    # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
-    disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
-    points = np.column_stack([tracks.prev_px[:, :2], disparity])
-    T_curr_prev = np.ascontiguousarray(start)
-    inliers = np.zeros(len(tracks), np.bool_)
-    problem = _Problem(
-        points=points,
-        curr=np.ascontiguousarray(tracks.curr_px),
-        camera=Intrinsics.of(camera),
-        threshold_px=threshold.all_px,
-        right_share=threshold.all_px / threshold.right_px,
-        free=6 if samples.shape[1] == 3 else 3,
-        near=near,
-    )
-    _best_sample(
-        problem,
-        samples,
-        LossParameters(int(LossKind.L2), np.ones(samples.shape[1])),
-        T_best=T_curr_prev,
-        inliers=inliers,
-    )
-    return Consensus(T_curr_prev, inliers)
+    problem = _Problem.of(tracks, camera, threshold, start=np.array(guess), near=near)
+    return _consensus(problem, rng, confidence=confidence)
 
 
 class _Problem(NamedTuple):
@@ -196,11 +174,67 @@ class _Problem(NamedTuple):
     threshold_px: float
     right_share: float
     """The threshold of u_l and v over that of u_r, 0 to 1."""
-    free: int
-    """Number of entries of ξ = [ρ; φ] that are solved for: 6, or 3 to keep the rotation."""
+    start: FloatArray
+    """Where the motion of a sample starts, T_curr_prev, [4, 4]."""
+    sample_size: int
+    """3, or 1 to keep the rotation of the start."""
     near: FloatArray
-    """Information by which the distance to the guess is measured, which is to be 1 at most, [6, 6];
+    """Information by which the distance to the start is measured, which is to be 1 at most, [6, 6];
     zeros for no limit."""
+
+    @staticmethod
+    def of(
+        tracks: Tracks,
+        camera: StereoCamera,
+        threshold: InlierThreshold,
+        *,
+        start: FloatArray,
+        sample_size: int = 3,
+        near: FloatArray | None = None,
+    ) -> _Problem:
+        """Return the problem of these tracks."""
+        # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
+        disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
+        return _Problem(
+            points=np.column_stack([tracks.prev_px[:, :2], disparity]),
+            curr=np.ascontiguousarray(tracks.curr_px),
+            camera=Intrinsics.of(camera),
+            threshold_px=threshold.all_px,
+            right_share=threshold.all_px / threshold.right_px,
+            start=np.ascontiguousarray(start),
+            sample_size=sample_size,
+            near=np.zeros((6, 6)) if near is None else near,
+        )
+
+
+def _consensus(problem: _Problem, rng: np.random.Generator, *, confidence: float) -> Consensus:
+    """Return the best of the motions of random samples, and its inliers; the start competes.
+
+    Args:
+        problem: features, threshold and start.
+        rng: source of the samples.
+        confidence: that of a sample without outliers.
+    """
+    count = len(problem.points)
+    size = problem.sample_size
+    T_curr_prev = problem.start.copy()
+    inliers = np.zeros(count, np.bool_)
+    loss = LossParameters(int(LossKind.L2), np.ones(size))
+    num_drawn = 0
+    num_wanted = num_hypotheses(confidence)
+    while num_drawn < num_wanted:
+        samples = _drawn(count, (num_wanted - num_drawn, size), rng)
+        _best_sample(problem, samples, loss, T_best=T_curr_prev, inliers=inliers)
+        num_drawn = num_wanted
+        num_wanted = _num_samples_needed(inliers, size, confidence)
+    return Consensus(T_curr_prev, inliers)
+
+
+def _drawn(count: int, shape: tuple[int, int], rng: np.random.Generator) -> IntArray:
+    """Draw samples, [M, size], from so many points; none if there are fewer than a sample has."""
+    if count < shape[1]:
+        return np.zeros((0, shape[1]), np.int64)
+    return rng.integers(count, size=shape)
 
 
 @compiled
@@ -211,12 +245,21 @@ def _best_sample(
     T_best: FloatArray,
     inliers: BoolArray,
 ) -> None:
-    """Replace the guess T_best [4, 4] by the best motion of all samples, and mark its inliers.
+    """Replace a motion T_best by the best one of all samples, if that is better, and mark its
+    inliers.
 
     The residuals of a sample have unit information on (u_l, v_l, u_r) and none on v_r.
+
+    Args:
+        problem: features and threshold.
+        samples: rows of the features of each, [M, 3] or [M, 1].
+        loss: that of the samples.
+        T_best: the best so far, which competes, [4, 4].
+        inliers: receives those of the best, [N].
     """
-    size = samples.shape[1]
-    T_start = T_best.copy()
+    T_start = problem.start
+    size = problem.sample_size
+    free = 6 if size == 3 else 3  # entries of ξ = [ρ; φ]; the rotation of a single point is held
     T = np.empty((4, 4))
     T_moved = np.empty((4, 4))
     curr = np.empty((size, 4))
@@ -232,8 +275,8 @@ def _best_sample(
     newton = problem.threshold_px < 0.0  # False; as a literal it would compile the loop once more
     lower = np.zeros((6, 6))
     step = np.zeros(6)
-    # The guess competes: where the motion hardly changes, it is better than a noisy sample.
-    best = _truncated_cost(problem, T_start, np.inf, inliers)
+    # The start competes: where the motion hardly changes, it is better than a noisy sample.
+    best = _truncated_cost(problem, T_best, np.inf, inliers)
     for k in range(len(samples)):
         # The motion of the sample: Gauss–Newton from the guess, all points exact and L2.
         for i in range(size):
@@ -246,7 +289,7 @@ def _best_sample(
         for _ in range(SAMPLE_ITERATIONS):
             normal_equations(T, problem.camera, curr, sample, loss, newton, system)
             solvable = solve_positive_definite(
-                system.hessian, system.gradient[: problem.free], lower, solution=step
+                system.hessian, system.gradient[:free], lower, solution=step
             )
             if not solvable:
                 break
@@ -302,7 +345,7 @@ def _truncated_cost(
     limit = problem.threshold_px * problem.threshold_px
     total = 0.0
     for n in range(len(problem.points)):
-        X, Y, Z, rho = transfer(T, problem.camera, problem.points[n])
+        X, Y, Z, rho = move_point(T, problem.camera, problem.points[n])
         squared = limit  # of a point behind the camera, as of any other outlier
         if Z > NEAREST:
             # Rows are compared in the left image only, as in the samples.

@@ -349,7 +349,7 @@ def _tested(
         # All innovations are against the pose before any of these measurements. What fails the gate
         # is left out; a weight below one enlarges the covariance.
         squared = _innovation_squared(pose_filter, measurement, pose)
-        weight = 1.0
+        weight = float(measurement.outcome(pose_filter.values(pose)).weight.min(initial=1.0))
         if squared is not None and isinstance(measurement, VectorMeasurement):
             dim = len(measurement.covariance)
             weight = bounded_weight(squared, large_residual_threshold(dim))

@@ -18,8 +18,7 @@ import numpy as np
 from probevo.arrays import IntArray, rows_of
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.initial_motion import MIN_INLIERS
-from probevo.estimation.ransac import InlierThreshold, find_consensus
+from probevo.estimation.ransac import MIN_INLIERS, InlierThreshold, find_consensus
 from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
     CONFIDENCE,

@@ -36,6 +36,7 @@ from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import NoiseModel, StereoNoise, has_relative_scale, predicted_noise
+from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -185,7 +186,12 @@ class _Solve:
         weight = dof / (dof + squared)
         weight_after = dof / (dof + squared / self.enlargement)
         weight_gain = float(weight_after.sum() / weight.sum())
-        return self.noise.scaled(np.full(len(squared), excess_factor * weight_gain))
+        scaled = self.noise.scaled(np.full(len(squared), excess_factor * weight_gain))
+        if self.noise.refers_to == "residual":
+            return scaled
+        # The frame before, where new landmarks are anchored, is as noisy as predicted.
+        prev_scale = self.noise.scale if self.noise.prev_scale is None else self.noise.prev_scale
+        return replace(scaled, prev_scale=prev_scale)
 
 
 @dataclass(frozen=True)
@@ -259,6 +265,9 @@ class VisualEstimator:
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
         # RANSAC: which tracks agree on a motion, and where the solve starts.
+        jitter_cov = priors.jitter_cov
+        if jitter_cov is None:
+            jitter_cov = learned_jitter_cov(self._noise)
         consensus = initial_motion(
             tracks,
             self._camera,
@@ -266,7 +275,7 @@ class VisualEstimator:
             gyro=priors.gyro,
             config=self._config,
             rng=rng,
-            right_sigma_px=common_sigma_px(priors.jitter_cov, self._camera),
+            right_sigma_px=common_sigma_px(jitter_cov, self._camera),
         )
         clock.lap("consensus")
         if not are_enough(consensus.inliers, self._config):

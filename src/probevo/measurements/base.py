@@ -19,7 +19,7 @@ from scipy.special import chdtri
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError, brief
-from probevo.geometry import so3
+from probevo.geometry import se3, so3
 from probevo.geometry.se3_numba import perturb
 
 ASYMMETRY = 1e-8
@@ -281,17 +281,16 @@ class VectorMeasurement(ABC):
         )
 
     def information(self, values: Values) -> FloatArray:
-        """Return the Fisher information Jᵀ Σ⁻¹ J, times (ν + d)/(ν + d + 2) for a Student-t."""
+        """Return Jᵀ Σ⁻¹ J times the curvature of the loss at the residual.
+
+        That of a Student-t is (ν + d)/(ν + d + 2) on average, as its Fisher information has it, and
+        vanishes where the residual is an outlier.
+        """
         residual = self.residual(values)
         jacobian = np.hstack(self.jacobians(values))
         squared = float(residual @ self._information @ residual)
-        if squared > self.gate:
-            return np.zeros((jacobian.shape[1], jacobian.shape[1]))
-        # (ν + d)/(ν + d + 2), written so that it is 1 for ν = ∞
-        share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
-        if squared > self._large_threshold:
-            share *= bounded_weight(squared, self._large_threshold)
-        information: FloatArray = share * jacobian.T @ self._information @ jacobian
+        curvature = self._curvature(squared)
+        information: FloatArray = curvature * jacobian.T @ self._information @ jacobian
         return information
 
     def outcome(self, values: Values) -> Outcome:
@@ -312,6 +311,16 @@ class VectorMeasurement(ABC):
         if np.isinf(self.dof):
             return bounded_weight(squared, self._large_threshold)
         return (self.dof + len(self.covariance)) / (self.dof + squared)
+
+    def _curvature(self, squared: float) -> float:
+        """Return the second derivative of the loss, averaged over the d directions of the
+        residual; 0 beyond the gate."""
+        if squared > self.gate or np.isinf(self.dof):
+            return self._weight(squared)
+        # w I − 2 w e eᵀ/(ν + s) of the white residual e. One with few dimensions has a negative
+        # mean where it is large; what is left of its information is then next to nothing.
+        mean = 1.0 - 2.0 / len(self.covariance) * squared / (self.dof + squared)
+        return self._weight(squared) * max(0.0, mean)
 
     def _cost(self, squared: float) -> float:
         squared = min(squared, self.gate)
@@ -335,28 +344,30 @@ def bounded_weight(squared: float, threshold: float) -> float:
 
 
 def as_transform(T: object, where: str) -> FloatArray:
-    """Return a transform as an array of floats, [4, 4]; NaN is what a sensor without a fix gives.
+    """Return the rigid transform nearest to a matrix, [4, 4]; NaN is what a sensor without a fix
+    gives.
 
     Raises:
         InputError: it is of another kind or shape, or no rigid transform up to rounding.
     """
     matrix = as_array(T, (4, 4), where)
     if np.isfinite(matrix).all():
-        so3.check_rotation(matrix[:3, :3], where)
+        C = so3.check_rotation(matrix[:3, :3], where)
         if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > so3.ROTATION_TOLERANCE:
             raise InputError(where, "the last row of this transform is not 0 0 0 1.")
+        matrix = se3.from_parts(C, matrix[:3, 3])
     return matrix
 
 
 def as_rotation(C: object, where: str) -> FloatArray:
-    """Return a rotation as an array of floats, [3, 3]; NaN is what a sensor without a fix gives.
+    """Return the rotation nearest to a matrix, [3, 3]; NaN is what a sensor without a fix gives.
 
     Raises:
         InputError: it is of another kind or shape, or no rotation up to rounding.
     """
     matrix = as_array(C, (3, 3), where)
     if np.isfinite(matrix).all():
-        so3.check_rotation(matrix, where)
+        matrix = so3.check_rotation(matrix, where)
     return matrix
 
 

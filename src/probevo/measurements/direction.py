@@ -33,7 +33,7 @@ class Direction(VectorMeasurement):
 
     Args:
         pose: pose of the camera.
-        in_camera: u, [3]; its length does not matter.
+        in_camera: u, [3]; its length does not matter. NaN where the sensor has seen nothing.
         known: d, [3], in the world, which is the first camera; or, with ``north``, in east, north
             and up.
         covariance: in the tangent plane, [2, 2], rad², in its directions of azimuth and zenith.
@@ -55,7 +55,8 @@ class Direction(VectorMeasurement):
     ) -> None:
         super().__init__(covariance, dim=2)
         self.pose = pose
-        self.in_camera = _unit(in_camera, "in_camera")
+        measured = as_array(in_camera, (3,), "Direction: in_camera")
+        self.in_camera = measured if np.isnan(measured).any() else _unit(measured, "in_camera")
         self.known = _unit(known, "known")
         self.north = north
 
@@ -72,7 +73,8 @@ class Direction(VectorMeasurement):
 
         Args:
             pose: pose of the camera.
-            angles_rad: azimuth atan2(x, z) and zenith angle acos(−y).
+            angles_rad: azimuth atan2(x, z) and zenith angle acos(−y); NaN where the sensor has
+                seen nothing.
             known: the same direction, as of the constructor.
             covariance: of these two angles, [2, 2], rad².
             north: as of the constructor.
@@ -82,6 +84,8 @@ class Direction(VectorMeasurement):
                 the zenith angle is not from 0 to π.
         """
         azimuth, zenith = angles_rad
+        if math.isnan(azimuth) or math.isnan(zenith):
+            return Direction(pose, np.full(3, math.nan), known, covariance, north=north)
         sine = math.sin(zenith) if 0.0 <= zenith <= math.pi else math.nan
         if not sine > MIN_SINE_OF_ZENITH:
             what = f"a zenith angle of {zenith} rad has no azimuth, or is outside 0 … π."

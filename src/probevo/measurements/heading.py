@@ -17,6 +17,10 @@ from probevo.measurements.base import (
 )
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
+MIN_LEVEL = 0.1
+"""Least share of the camera's z axis that is level: it is then 6° from the vertical, and an error
+of the attitude of 1° is one of the heading of 10°."""
+
 
 class Heading(VectorMeasurement):
     """A measured heading of the camera: the direction of its z axis over ground, clockwise.
@@ -53,8 +57,11 @@ class Heading(VectorMeasurement):
         return (self.pose,) if self.north is None else (self.pose, self.north)
 
     def residual(self, values: Values) -> FloatArray:
-        """Return measured minus predicted heading, from −π to π, [1]."""
+        """Return measured minus predicted heading, from −π to π, [1]; NaN where the camera looks
+        straight up or down, and has none."""
         east, north, _ = self._ahead_in_enu(values).tolist()
+        if math.hypot(east, north) < MIN_LEVEL:
+            return np.array([math.nan])
         difference = self.heading_rad - math.atan2(east, north)
         if not math.isfinite(difference):  # a receiver without a fix
             return np.array([math.nan])
@@ -63,7 +70,7 @@ class Heading(VectorMeasurement):
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude relative to north, [1, 3]."""
         ahead = self._ahead_in_enu(values)
-        level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), 1e-12)
+        level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), MIN_LEVEL**2)
         # e = measured − atan2(east, north), so that ∂e/∂(east, north) = (−north, east)/(east² +
         # north²).
         of_ahead = np.array([[-ahead[1], ahead[0], 0.0]]) / level_squared

@@ -14,7 +14,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.rig_jitter_numba import right_offset
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point
 from probevo.compiled import compiled
 from probevo.measurements.robust_loss_numba import robust_bend, robust_weight
 from probevo.measurements.stereo_numba import (
@@ -166,7 +166,7 @@ def jitter_columns(
     move = np.empty(3)  # ∂q/∂η° over q_z
     for n in range(len(refined)):
         columns[n] = 0.0
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             continue
         # q = C m + ρ t moves with (u, v, d) by C e_x/f_u, C e_y/f_v and t/(f_u b).
@@ -320,7 +320,7 @@ def _set_jitter(
     gradient = np.zeros(DOF)
     for n in range(len(curr)):
         W = propagated.information[n]
-        X, Y, Z, rho = transfer(T, camera, propagated.refined[n])
+        X, Y, Z, rho = move_point(T, camera, propagated.refined[n])
         if Z < NEAREST or not W[0, 0] > 0.0:
             continue
         white = jitter.white[n]

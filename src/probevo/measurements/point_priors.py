@@ -8,7 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, invert_positive_definite, invert_symmetric_4
+from probevo.compiled import (
+    compiled,
+    compiled_into_callers,
+    invert_positive_definite,
+    invert_symmetric_4,
+)
 
 UNKNOWN_PX2 = 1e6
 """Variance of a point of which nothing is known."""
@@ -131,9 +136,10 @@ def observation_to_point(
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
     R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the
-    rows plainly, as g does, and S is 0. A singular R counts as the one before; the first one, as
-    one of which nothing is known. Fills point [N, 3] from observed [N, 4], px, and that part of
-    point_cov [N, 4, 4] from scale [N, 4, 4], px²; returns K, [N, 3, 4].
+    rows plainly, as g does, and S is 0. Of a point whose R is singular nothing is known.
+
+    Fills point [N, 3] from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale
+    [N, 4, 4], px²; returns K, [N, 3, 4].
     """
     gain = np.empty((len(observed), 3, 4))
     inverse = np.empty((4, 4))
@@ -142,14 +148,8 @@ def observation_to_point(
     normal = np.empty((3, 3))
     lower_3 = np.zeros((3, 3))
     S = np.zeros((3, 3))
-    if propagate:
-        for i in range(3):
-            S[i, i] = UNKNOWN_PX2
-    # The plain average of g: u = u_l, v = ½ (v_l + v_r), d = u_l − u_r.
     K = np.zeros((3, 4))
-    K[0, 0] = K[2, 0] = 1.0
-    K[2, 2] = -1.0
-    K[1, 1] = K[1, 3] = 0.5
+    _set_average(K)
     for n in range(len(observed)):
         is_new = propagate and n == 0
         # Most models give all features the same scale: invert it only if it differs from the last.
@@ -157,6 +157,12 @@ def observation_to_point(
             for i in range(4):
                 for j in range(4):
                     is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
+        if is_new:
+            # What stays if R is singular.
+            _set_average(K)
+            for i in range(3):
+                for j in range(3):
+                    S[i, j] = UNKNOWN_PX2 if i == j else 0.0
         if is_new and invert_symmetric_4(scale[n], inverse, lower):
             for k in range(4):  # Hᵀ R⁻¹; H maps (u, v, d) to (u, v, u − d, v)
                 weighted[0, k] = inverse[0, k] + inverse[2, k]
@@ -188,3 +194,12 @@ def observation_to_point(
                 + K[i, 3] * observed[n, 3]
             )
     return gain
+
+
+@compiled_into_callers
+def _set_average(K: FloatArray) -> None:
+    """Set K, [3, 4], to the plain average of g: u = u_l, v = ½ (v_l + v_r), d = u_l − u_r."""
+    K[:] = 0.0
+    K[0, 0] = K[2, 0] = 1.0
+    K[2, 2] = -1.0
+    K[1, 1] = K[1, 3] = 0.5

@@ -38,6 +38,10 @@ interval of 1/18 s or more has ``MIN_SAMPLES`` then, so that this counts for fas
 only."""
 LONGEST_HOLE = 3.0
 """Longest time without a sample, in usual distances of samples."""
+MIN_GYRO_NOISE_RAD_S_SQRT_HZ = 1e-7
+MIN_ACCEL_NOISE_M_S2_SQRT_HZ = 1e-6
+"""Least noise densities, below those of the best sensors: a simulated IMU may have none at all, and
+the covariance of a preintegration must have an inverse."""
 NO_BIAS = np.zeros(6)
 
 
@@ -134,8 +138,8 @@ def preintegrate(
     )
     preintegrate_samples(
         MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]),
-        float(calibration.gyro_noise_rad_s_sqrt_hz),
-        float(calibration.accel_noise_m_s2_sqrt_hz),
+        max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
+        max(float(calibration.accel_noise_m_s2_sqrt_hz), MIN_ACCEL_NOISE_M_S2_SQRT_HZ),
         sums,
     )
     if not all(np.isfinite(part).all() for part in sums):

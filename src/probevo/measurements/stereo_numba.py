@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point
 from probevo.compiled import compiled, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
     INFINITE_DOF,
@@ -143,7 +143,7 @@ def propagate_noise(
     e = np.empty(4)
     g = np.empty(4)
     for n in range(len(point)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             information[n] = 0.0
             continue
@@ -262,7 +262,7 @@ def normal_equations(
     r00 = r01 = r02 = r11 = r12 = r22 = 0.0  # rotation block
     gt0 = gt1 = gt2 = gr0 = gr1 = gr2 = 0.0
     for n in range(len(refined)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             # It costs as much as an outlier: otherwise a motion that takes points behind the camera
             # would be rewarded.
@@ -431,7 +431,7 @@ def residual_jacobians(
     disparity = out.disparity
     F = np.zeros((4, 3))
     for n in range(len(refined)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             residual[n] = 0.0
             motion[n] = 0.0
