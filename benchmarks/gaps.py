@@ -85,8 +85,8 @@ def report_spoiled(name: str, preset: str, estimator: str, seeds: int) -> None:
         found = se3.inverse(spoiled[last].T_world_cam)
         expected = se3.inverse(clean[last].T_world_cam)
         error = se3.log(expected @ se3.inverse(found))
-        cov = spoiled[last].pose_cov
-        nees = normalized_error_squared(expected, found, cov + clean[last].pose_cov) / 6
+        cov = spoiled[last].cov_cam_world
+        nees = normalized_error_squared(expected, found, cov + clean[last].cov_cam_world) / 6
         rows.append([*norms(error), *claims(cov), float(nees)])
     position, attitude, position_claim, attitude_claim, nees_6 = np.array(rows).T
     print(
@@ -190,10 +190,10 @@ def report_far(num_far: int, estimator: str) -> None:
                 nees = normalized_error_squared(motion, estimate.T_curr_prev, estimate.cov) / 6
                 nees_of_steps.append(float(nees))
         expected = se3.inverse(T_world_cam)
-        found = se3.inverse(estimate.T_world_cam)
+        found = estimate.T_cam_world
         error = se3.log(expected @ estimate.T_world_cam)
-        nees = normalized_error_squared(expected, found, estimate.pose_cov) / 6
-        rows.append([*norms(error), *claims(estimate.pose_cov), float(nees)])
+        nees = normalized_error_squared(expected, found, estimate.cov_cam_world) / 6
+        rows.append([*norms(error), *claims(estimate.cov_cam_world), float(nees)])
     position, attitude, position_claim, attitude_claim, nees_6 = np.array(rows).T
     rms = np.sqrt(np.mean(np.square([position, attitude]), axis=1))
     print(

@@ -92,7 +92,7 @@ def print_trial(trial: Trial) -> None:
     there are several."""
     first = trial.half or 0
     for (name, model), estimator in product(models(trial).items(), ESTIMATORS):
-        ratio = getattr(model, "time_correlation_ratio", 0.0)
+        ratio = getattr(model, "time_correlation_ratio_", 0.0)
         start = f"| {name} | {estimator} | {ratio:.1f} |"
         rows = []
         for test in trial.tests:

@@ -1,6 +1,6 @@
 """What learned noise gains on many drives through streets: docs/window.md.
 
-    python benchmarks/learning_streets.py [--drives 4] [--models DIR] [--streets DIR]
+    python benchmarks/learning_streets.py [--drives 4] [--models DIR] [--streets DIR] [--own-truth]
 
 A single drive says little of what learning gains: its drift is mostly the error of one scale. Here
 the static Student-t and generalized kernels, learned without truth from a rendered city, are tested
@@ -9,7 +9,9 @@ the window, by images alone. Prints the drift, %, and the rotation, °/m, over p
 of each drive, and the NEES of its steps over their 6 dimensions; and then, over the drives of a
 kind, the geometric mean of the untrained model, the ratio of each learned one to it with the
 standard error of that ratio, and on how many drives it is less. With ``--streets``, the rendered
-drives are kept there, and those that exist are not rendered again.
+drives are kept there, and those that exist are not rendered again. With ``--own-truth``, each drive
+is tested with the models that are learned from itself, with its true poses: no learning of the
+noise of single observations can gain more.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from window import EFFECTS
-from window_learning import learned_noises
+from window_learning import TRAININGS, UNTRAINED, learned_noises
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -62,10 +64,34 @@ def learned_from_streets(models: Path) -> dict[str, str]:
         return learned_noises(models, "rendered", streets)
 
 
-def errors(street: SceneConfig, folder: Path, noises: list[str]) -> FloatArray:
-    """Return the ``QUANTITIES`` of each estimator with each noise model, [E, M, 3]."""
+def learned_from_itself(models: Path, street: Path) -> dict[str, str]:
+    """Return the noise models that are learned from a street and its true poses, by their names."""
+    files = {UNTRAINED: UNTRAINED}
+    for name, settings in TRAININGS.items():
+        file = models / f"{street.name} {name}.safetensors".replace(" ", "-")
+        if not file.is_file():
+            with_truth = settings.model_copy(update={"supervision": "gt"})
+            pv.train_model([street], with_truth, file)
+        files[name] = str(file)
+    return files
+
+
+def errors(
+    street: SceneConfig, folder: Path, noises: list[str], *, own_models: Path | None
+) -> FloatArray:
+    """Return the ``QUANTITIES`` of each estimator with each noise model, [E, M, 3].
+
+    Args:
+        street: what is rendered.
+        folder: where.
+        noises: the noise models.
+        own_models: folder of models that are learned from this street, and tested instead; None to
+            test the given ones.
+    """
     cv2.setNumThreads(1)
     sequence = pv.open_sequence(write_scene(street, folder))
+    if own_models is not None:
+        noises = list(learned_from_itself(own_models, folder).values())
     truth = sequence.truth.T_world_cam
     found = np.empty((len(ESTIMATORS), len(noises), len(QUANTITIES)))
     for e, estimator in enumerate(ESTIMATORS):
@@ -109,9 +135,12 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=4, help="of each kind of street")
     parser.add_argument("--models", type=Path, default=Path("out/window_learning"))
     parser.add_argument("--streets", type=Path)
+    parser.add_argument("--own-truth", action="store_true", help="learn from the drive itself")
     arguments = parser.parse_args()
     arguments.models.mkdir(parents=True, exist_ok=True)
-    noises = learned_from_streets(arguments.models)
+    own_models = arguments.models if arguments.own_truth else None
+    names = [UNTRAINED, *TRAININGS]
+    noises = [] if own_models else list(learned_from_streets(arguments.models).values())
     print("untrained, fitted Student-t, gk: drift, % / rotation, °/m / NEES of a step", flush=True)
     with (
         tempfile.TemporaryDirectory() as temporary,
@@ -125,9 +154,11 @@ def main() -> None:
                     preset=preset, seed=seed, distance_m=DISTANCE_M, effects=effects
                 )
                 name = f"{kind}_{seed}".replace(", ", "_")
-                running.append(pool.submit(errors, street, folder / name, list(noises.values())))
+                running.append(
+                    pool.submit(errors, street, folder / name, noises, own_models=own_models)
+                )
             table = np.array([drive.result() for drive in running])
-            show(kind, table, list(noises))
+            show(kind, table, names)
 
 
 def show(kind: str, table: FloatArray, names: list[str]) -> None:

@@ -67,7 +67,7 @@ def result(sequence: pv.sequences.Sequence, estimator: str) -> str:
     for frame in sequence:
         estimate = odometry.step(replace(frame, imu=None))
         path.append(estimate.T_world_cam)
-        covariances.append(estimate.pose_cov.copy())
+        covariances.append(estimate.cov_cam_world.copy())
     truth = sequence.truth.T_world_cam
     metrics = evaluate(np.array(path), truth)
     steps_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1)

@@ -53,7 +53,7 @@ def found(camera: StereoCamera, frames: list[Frame], estimator: str) -> Path:
     positions = np.array([estimate.T_world_cam[:3, 3] for estimate in estimates])
     return Path(
         T_last_first=se3.inverse(estimates[-1].T_world_cam),
-        cov=estimates[-1].pose_cov,
+        cov=estimates[-1].cov_cam_world,
         length_m=float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
         num_refused=sum(estimate.status is not Status.OK for estimate in estimates[1:]),
     )

@@ -66,7 +66,7 @@ def residuals(window: Window, camera: StereoCamera) -> tuple[IntArray, FloatArra
     y = h[:, 1] / h[:, 2]
     d_px = disparity_px / h[:, 2]
     x_right = x - d_px / camera.fu_px
-    b0, b1, b2, kappa = window.rig
+    b0, b1, b2, kappa = window.rig_errors
     u_left = camera.fu_px * x * (1.0 + kappa * (x**2 + y**2)) + camera.cu_px
     v_left = camera.fv_px * y * (1.0 + kappa * (x**2 + y**2)) + camera.cv_px
     u_right = camera.fu_px * x_right * (1.0 + kappa * (x_right**2 + y**2)) + camera.cu_px

@@ -91,7 +91,7 @@ def result(recording: pv.sequences.Sequence, frames: list[pv.Frame]) -> tuple[st
     )
     end = se3.inverse(truth[0]) @ truth[-1]
     error_m = np.linalg.norm(steps[-1].T_world_cam[:3, 3] - end[:3, 3])
-    claim_m = np.sqrt(np.trace(steps[-1].pose_cov[:3, :3]))
+    claim_m = np.sqrt(np.trace(steps[-1].cov_cam_world[:3, :3]))
     refused = sum(step.status is not pv.Status.OK for step in steps[1:])
     errors = (
         f"{error_m:.3f} ({claim_m:.3f}) m, {squared.mean() / 6.0:.1f},"

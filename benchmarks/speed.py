@@ -102,7 +102,7 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
         refers_to="observation",
         time_correlation_ratio=1.0,
     )
-    return model.fit(found.phi, found.errors, error_cov=found.spread, metric=metric)
+    return model.fit(found.phi, found.errors, error_cov=found.error_cov, metric=metric)
 
 
 def ours_over(

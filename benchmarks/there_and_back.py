@@ -52,10 +52,12 @@ def last_of(
 
 def row(name: str, part: str, estimate: MotionEstimate, num_refused: int) -> str:
     """Return a row of the table."""
-    T_cam_world = se3.inverse(estimate.T_world_cam)
-    squared = normalized_error_squared(T_cam_world[None], np.eye(4)[None], estimate.pose_cov[None])
+    T_cam_world = estimate.T_cam_world
+    squared = normalized_error_squared(
+        T_cam_world[None], np.eye(4)[None], estimate.cov_cam_world[None]
+    )
     error = se3.log(T_cam_world)
-    sigma = np.sqrt(np.diagonal(estimate.pose_cov))
+    sigma = np.sqrt(np.diagonal(estimate.cov_cam_world))
     in_mm = f"{1e3 * np.linalg.norm(error[:3]):.1f} ({1e3 * np.linalg.norm(sigma[:3]):.1f})"
     in_deg = (
         f"{np.rad2deg(np.linalg.norm(error[3:])):.3f} ({np.rad2deg(np.linalg.norm(sigma[3:])):.3f})"

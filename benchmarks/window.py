@@ -87,8 +87,8 @@ def run(
         found.step.append(nees(estimate.T_curr_prev, step, estimate.cov))
         if k % EVERY == 0:
             from_first = se3.inverse(truth[k]) @ truth[0]
-            T_cam_world = se3.inverse(estimate.T_world_cam)
-            found.path.append(nees(T_cam_world, from_first, estimate.pose_cov))
+            T_cam_world = estimate.T_cam_world
+            found.path.append(nees(T_cam_world, from_first, estimate.cov_cam_world))
         in_window = window is not None and {k, k - SPAN} <= set(window.frames.tolist())
         if in_window and np.isfinite(truth[k - SPAN]).all():
             T, cov = odometry.relative(k, k - SPAN)

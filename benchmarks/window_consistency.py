@@ -100,8 +100,8 @@ def squared_errors(
         T, cov = odometry.relative(k, k - SPAN)
         found.append((1, _squared(T, se3.inverse(truth[k]) @ truth[k - SPAN], cov)))
         from_first = se3.inverse(truth[k]) @ truth[0]
-        T_cam_world = se3.inverse(estimate.T_world_cam)
-        squared = _squared(T_cam_world, from_first, estimate.pose_cov)
+        T_cam_world = estimate.T_cam_world
+        squared = _squared(T_cam_world, from_first, estimate.cov_cam_world)
         if k == EVERY:
             found.append((2, squared))
         if k == len(frames) - 1:

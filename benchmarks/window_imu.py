@@ -92,7 +92,7 @@ def run(
         if estimate.imu_left_out:
             said[f"the IMU {estimate.imu_left_out}"] = None
         poses.append(estimate.T_world_cam)
-        sigma.append(np.sqrt(np.diag(estimate.pose_cov)))
+        sigma.append(np.sqrt(np.diag(estimate.cov_cam_world)))
         window = odometry.window
         step = np.nan
         if window is not None and len(window) > SPAN:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib.metadata
 from functools import cache
+from importlib import import_module
 from importlib.metadata import EntryPoint
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from probevo.errors import InputError
 
@@ -51,3 +52,9 @@ def load_entry(entry: EntryPoint, expected: type[Expected]) -> Expected:
 def entry_text(entry: EntryPoint) -> str:
     """Return how a message names an entry point."""
     return f"entry point {entry.name} = {entry.value} of {entry.group}"
+
+
+def imported(place: str) -> Any:
+    """Import an object that is written as ``module:name``."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

@@ -21,6 +21,8 @@ from probevo.nets.methods import Method  # noqa: E402
 from probevo.nets.network_file import named_arrays, read_facts  # noqa: E402
 from probevo.nets.quaternions import product  # noqa: E402
 from probevo.nets.target_space import RotationTargets  # noqa: E402
+from probevo.noise import StudentT  # noqa: E402
+from probevo.noise.model_io import save_model  # noqa: E402
 
 SPACE = RotationTargets()
 HYDRA_SIGMA = METHODS[-1]
@@ -102,6 +104,14 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     save_file({"a": np.zeros(3)}, file)
     with pytest.raises(InputError, match="not a network of probevo"):
         train(METHODS[2], file)
+
+
+def test_a_noise_model_is_named_as_such(tmp_path: Path) -> None:
+    file = tmp_path / "noise.safetensors"
+    save_model(StudentT(), file)
+    with pytest.raises(InputError, match="this is a noise model") as caught:
+        read_facts(file)
+    assert "--noise" in caught.value.cure
 
 
 def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:

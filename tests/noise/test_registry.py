@@ -6,12 +6,12 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 
+from probevo.entry_points import imported
 from probevo.errors import InputError
 from probevo.noise import Fixed, GeneralizedKernel, NearestNeighbors, StudentT, registry
 from probevo.noise.named import noise_model
 from probevo.noise.registry import (
     NoiseKind,
-    imported,
     kind_of,
     noise_kinds,
     untrained_model,

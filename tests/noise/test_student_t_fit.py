@@ -51,7 +51,7 @@ def test_the_default_time_correlation_is_that_of_the_default_scale(
 ) -> None:
     """What is fitted has none but one that was given."""
     model = StudentT(time_correlation_ratio=given).fit(np.zeros((500, 0)), errors(500))
-    assert model.time_correlation_ratio == expected
+    assert model.time_correlation_ratio_ == expected
 
 
 def test_every_feature_is_given_what_was_fitted() -> None:

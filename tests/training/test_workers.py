@@ -75,6 +75,13 @@ def test_results_come_in_the_order_of_the_tasks(
     assert mapped(workers) == [number**2 for number in range(7)]
 
 
+def test_the_environment_of_the_caller_stays_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The workers import no module of the working directory; programs that it starts later do."""
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    mapped(Workers(jobs=2))
+    assert "PYTHONSAFEPATH" not in os.environ
+
+
 def test_where_no_process_can_be_started_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joblib then has no backend of processes, as without /dev/shm."""
     joblib_parallel = pytest.importorskip("joblib.parallel")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point
 from probevo.compiled import compiled
 
 MODE_COLUMNS = 6
@@ -115,7 +115,7 @@ def predict_pixels(
         predicted: filled in; the principal point for what is behind the camera.
     """
     for n in range(len(refined)):
-        X, Y, Z, _ = transfer(T, camera, refined[n])
+        X, Y, Z, _ = move_point(T, camera, refined[n])
         predicted[n, 0] = camera.cu
         predicted[n, 1] = camera.cv
         if Z >= NEAREST:
@@ -151,7 +151,7 @@ def field_sensitivities(
     """
     common = len(modes.of_common)
     for n in range(len(refined)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             sensitivity[n] = 0.0
             continue

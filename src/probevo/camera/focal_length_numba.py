@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from probevo.arrays import FloatArray
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point
 from probevo.compiled import compiled
 
 
@@ -26,7 +26,7 @@ def focal_sensitivity(
     """
     fu, fv, _, _, fb = camera
     for n in range(len(refined)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             sensitivity[n] = 0.0
             continue

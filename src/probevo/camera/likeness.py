@@ -9,10 +9,15 @@ TOLERANCE = 0.1
 """
 
 
-def difference(camera: StereoCamera, other: StereoCamera) -> str:
+def difference_text(camera: StereoCamera, other: StereoCamera, *, owner: str = "its") -> str:
     """Describe the first property in which two cameras differ; return "" if they are similar.
 
     The resolution matters as much as the lens, since patch sizes and errors are in pixels.
+
+    Args:
+        camera: the camera that is described.
+        other: the one that it is compared with.
+        owner: whose the property is, in the text.
     """
     pairs = {
         "focal length": (camera.fu_px, other.fu_px, "px"),
@@ -24,5 +29,5 @@ def difference(camera: StereoCamera, other: StereoCamera) -> str:
         pairs["image height"] = (camera.size_px[1], other.size_px[1], "px")
     for name, (value, other_value, unit) in pairs.items():
         if abs(value - other_value) > TOLERANCE * max(abs(value), abs(other_value)):
-            return f"its {name} is {value:g} {unit}, not {other_value:g} {unit}"
+            return f"{owner} {name} is {value:g} {unit}, not {other_value:g} {unit}"
     return ""

@@ -30,7 +30,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer, velocity_over_depth
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, move_point, velocity_over_depth
 from probevo.compiled import compiled
 from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
@@ -226,7 +226,7 @@ def _remove_readout(
         point[0] = pixels[n, 0]
         point[1] = pixels[n, 1]
         point[2] = pixels[n, 0] - pixels[n, 2]
-        X, Y, Z, rho = transfer(T, camera, point)
+        X, Y, Z, rho = move_point(T, camera, point)
         if Z < NEAREST:
             continue
         between_rows_px = pixels[n, 3] - pixels[n, 1]
@@ -249,7 +249,7 @@ def _fill_sensitivity(
     """Fill in the image velocity ẏ by each of K twists, [N, 4, K]."""
     twist = np.empty(6)
     for n in range(len(refined)):
-        X, Y, Z, rho = transfer(T, camera, refined[n])
+        X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
             sensitivity[n] = 0.0
             continue

@@ -61,7 +61,7 @@ def velocity_over_depth(
 
 
 @compiled
-def transfer(
+def move_point(
     T: FloatArray, camera: Intrinsics, point: FloatArray
 ) -> tuple[float, float, float, float]:
     """Move a point (u, v, d), px, by T_b_a [4, 4]: return q = C m + ρ t and the inverse depth ρ.

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuReason
 from probevo.sequences.missing_data import MissingData
 
@@ -18,6 +19,12 @@ COMMON_MODE_COLUMNS = 10
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
 (``camera.rig_calibration``), six for what of its distortion field (``camera.distortion_field``) is
 independent of these, and one for its focal length."""
+
+
+MAX_UNKNOWN = np.repeat([1e3, 2.0], 3)
+"""Standard deviations of a motion of which nothing is known, m and rad: a kilometre, and that of an
+angle from −π to π (π/√3). Beside features that know the motions between other frames to 0.1 mm,
+rounding would lose what is less certain."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +97,8 @@ class MotionEstimate:
     T_world_cam: FloatArray = field(default_factory=lambda: np.eye(4))
     """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the
     motions so far compounded, and corrected by measurements of the pose where there were any."""
-    pose_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
+    cov_cam_world: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    """Covariance of the left perturbation of ``T_cam_world``, [6, 6], m and rad."""
     missing: tuple[MissingData, ...] = ()
     """What the frame lacked: samples, features and images that could not be used. Each is a phrase
     as text, such as ``3 of 20 IMU samples without a finite angular rate``."""
@@ -99,6 +106,11 @@ class MotionEstimate:
     """Why the window does not use its IMU in this step; None if it does, or if there is no IMU."""
     sensors: tuple[SensorOutcome, ...] = ()
     """The outcome of each further sensor."""
+
+    @property
+    def T_cam_world(self) -> FloatArray:
+        """The inverse of T_world_cam, [4, 4], m; its covariance is ``cov_cam_world``."""
+        return se3.inverse(self.T_world_cam)
 
     @property
     def imu_left_out(self) -> str:

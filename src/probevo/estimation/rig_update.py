@@ -61,7 +61,7 @@ class CommonMode(NamedTuple):
 
     def times(self, matrix: FloatArray) -> CommonMode:
         """Return the common mode of a motion whose error is a matrix, [6, 6], times this one's."""
-        return CommonMode(*(matrix @ part for part in self))
+        return CommonMode._make(matrix @ part for part in self)
 
     @staticmethod
     def none() -> CommonMode:

@@ -23,8 +23,10 @@ from probevo.storage.files import check_regular, write_atomically
 
 FORMAT = "probevo-network"
 """Name of the one entry of the metadata, a JSON object: with several, their order would vary."""
+NOISE_MODEL = "probevo-noise-model"
+"""The one entry of a noise model's file instead (``noise.model_file``)."""
 MAX_BYTES = 10_000_000_000
-CURE = "Delete it, and train again."
+CURE = "Copy it again from where it came, or train it again."
 CURE_OF_VERSION = "It is probably of another version of probevo: train again with this one."
 """Arrays with a right checksum are as they were written."""
 
@@ -102,7 +104,11 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     check_regular(path, MAX_BYTES)
     try:
         with safe_open(path, framework="numpy") as file:
-            entry = json.loads((file.metadata() or {})[FORMAT])
+            metadata = file.metadata() or {}
+            if NOISE_MODEL in metadata:
+                what = "this is a noise model, not a network."
+                raise InputError(path, what, "Give it with --noise.")
+            entry = json.loads(metadata[FORMAT])
             arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
         text = entry["facts"]
         facts = json.loads(text)
@@ -113,7 +119,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}.", CURE) from error
     except KeyError as error:
-        raise InputError(path, f"is not a network of probevo: it lacks {error}.", CURE) from error
+        what = f"is not a network of probevo: it lacks {error}."
+        cure = "Name a file that `probevo train` has written with --kind of a sensor."
+        raise InputError(path, what, cure) from error
     except (SafetensorError, TypeError, ValueError) as error:
         raise InputError(path, f"is damaged, or no network: {error}.", CURE) from error
     if not isinstance(facts, dict) or claimed != _checksum(text, arrays):

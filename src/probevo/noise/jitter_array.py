@@ -7,6 +7,7 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray
 from probevo.noise.base import NoiseModel
 from probevo.noise.model_file import ModelFile
+from probevo.noise.positive_definite import is_positive_definite
 
 NAME = "jitter_cov"
 MAX_SIGMA_RAD = 0.1
@@ -27,10 +28,7 @@ def jitter_cov_of(file: ModelFile) -> FloatArray | None:
     cov = file.arrays.get(NAME)
     if cov is None:
         return None
-    # ``eigvalsh`` reads one triangle only, so that the symmetry is checked apart from it.
-    is_matrix = cov.shape == (3, 3) and cov.dtype == np.float64 and bool(np.isfinite(cov).all())
-    is_symmetric = is_matrix and np.allclose(cov, cov.T, rtol=1e-9, atol=0.0)
-    if not is_symmetric or not np.linalg.eigvalsh(cov)[0] > 0.0:
+    if not is_positive_definite(cov, 3):
         raise ValueError("its covariance of the jitter is not a positive definite matrix")
     if np.diagonal(cov).max() > MAX_SIGMA_RAD**2:
         raise ValueError("its jitter is not a small rotation")

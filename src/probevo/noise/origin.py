@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from probevo.camera.likeness import difference
+from probevo.camera.likeness import difference_text
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
@@ -124,9 +124,8 @@ def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> N
     """
     if trained is None:
         return
-    unlike = difference(camera, trained)
+    unlike = difference_text(camera, trained, owner="this one's")
     if unlike:
-        unlike = unlike.replace("its", "this one's", 1)
         raise InputError(
             "noise model",
             f"it was trained with another camera: {unlike}.",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from probevo.entry_points import entry_points, entry_text, load_entry
@@ -134,9 +133,3 @@ def untrained_model(name: str) -> NoiseModel:
             f"Known are {', '.join(untrained_names())}.",
         )
     return kind.untrained()
-
-
-def imported(place: str) -> Any:
-    """Import an object that is written as ``module:name``."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)

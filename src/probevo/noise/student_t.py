@@ -18,6 +18,7 @@ from probevo.noise.base import RefersTo, StereoNoise, disparity_variance
 from probevo.noise.jitter_array import jitter_arrays, jitter_cov_of
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
+from probevo.noise.positive_definite import is_positive_definite
 from probevo.noise.student_t_fit import fit_static
 
 DOF = 2.5
@@ -69,26 +70,30 @@ class StudentT:
         jitter_cov: FloatArray | None = None,
         scale_is_relative: bool | None = None,
     ) -> None:
-        # The default ratio belongs to the default scale.
-        self._ratio_is_given = time_correlation_ratio is not None
-        if time_correlation_ratio is None:
-            is_default = scale is None and refers_to == "observation"
-            time_correlation_ratio = TIME_CORRELATION_RATIO if is_default else 0.0
-        if scale is None:
-            scale = DEFAULT_SCALE.copy()
-        if scale_is_relative is None:
-            scale_is_relative = np.array_equal(scale, DEFAULT_SCALE)
         self.dof = dof
-        self.scale = scale
+        self.scale = DEFAULT_SCALE.copy() if scale is None else scale
         self.refers_to = refers_to
         self.camera = camera
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
         self.jitter_cov = jitter_cov
-        self.scale_is_relative = scale_is_relative
-        # What ``predict`` uses; ``fit`` replaces it.
+        # What ``predict`` and the odometry use; ``fit`` replaces it. The default ratio belongs to
+        # the default scale.
+        is_default = np.array_equal(self.scale, DEFAULT_SCALE)
+        default_ratio = 0.0
+        if scale is None and refers_to == "observation":
+            default_ratio = TIME_CORRELATION_RATIO
         self.dof_ = dof
-        self.scale_ = scale
+        self.scale_ = self.scale
+        self.time_correlation_ratio_ = (
+            default_ratio if time_correlation_ratio is None else time_correlation_ratio
+        )
+        self.scale_is_relative_ = is_default if scale_is_relative is None else scale_is_relative
+
+    @property
+    def scale_is_relative(self) -> bool:
+        """Whether the odometry is to learn online how large the errors of a recording are."""
+        return self.scale_is_relative_
 
     def fit(
         self, predictors: FloatArray, residuals: FloatArray, *, error_cov: FloatArray | None = None
@@ -107,9 +112,9 @@ class StudentT:
         fitted = fit_static(np.asarray(residuals, dtype=np.float64), error_cov)
         self.scale_ = fitted.scale[0]
         self.dof_ = float(fitted.dof[0])
-        self.scale_is_relative = False
-        if not self._ratio_is_given:
-            self.time_correlation_ratio = 0.0
+        self.scale_is_relative_ = False
+        if self.time_correlation_ratio is None:
+            self.time_correlation_ratio_ = 0.0
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
@@ -118,9 +123,9 @@ class StudentT:
         # A view: it is the same matrix for all features.
         scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
         time_correlated = None
-        if self.time_correlation_ratio:
+        if self.time_correlation_ratio_:
             # τ² = κ² σ_d², with σ_d² the variance of the disparity that is new in each frame
-            time_correlated = self.time_correlation_ratio**2 * disparity_variance(scale)
+            time_correlated = self.time_correlation_ratio_**2 * disparity_variance(scale)
         return StereoNoise(
             scale=scale,
             dof=np.full(count, self.dof_),
@@ -144,8 +149,8 @@ class StudentT:
             # JSON takes no infinity, and no numbers of NumPy.
             "dof": "inf" if np.isinf(self.dof_) else float(self.dof_),
             "refers_to": self.refers_to,
-            "time_correlation_ratio": float(self.time_correlation_ratio),
-            "scale_is_relative": bool(self.scale_is_relative),
+            "time_correlation_ratio": float(self.time_correlation_ratio_),
+            "scale_is_relative": bool(self.scale_is_relative_),
             **origin_facts(self.camera, self.training),
         }
         arrays: dict[str, AnyArray] = {"scale": np.asarray(self.scale_, dtype=np.float64)}
@@ -160,10 +165,7 @@ class StudentT:
         """
         facts = _Facts.of(file)
         scale = file.arrays["scale"]
-        is_matrix = scale.shape == (4, 4) and scale.dtype == np.float64
-        # The eigenvalues are those of the lower triangle alone.
-        is_symmetric = is_matrix and np.allclose(scale, scale.T, rtol=1e-9, atol=0.0)
-        if not is_symmetric or not np.linalg.eigvalsh(scale)[0] > 0.0:
+        if not is_positive_definite(scale, 4):
             raise ValueError("its scale is not a positive definite matrix")
         return StudentT(
             dof=float(facts.dof),

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from probevo.entry_points import entry_points, entry_text, load_entry
+from probevo.entry_points import entry_points, entry_text, imported, load_entry
 from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
     BAG_SUFFIXES,
@@ -111,7 +111,8 @@ class SequenceFormat:
             values = self.options.model_validate(options)
         except ValidationError as error:
             fault = error.errors()[0]
-            where = f"option {'.'.join(map(str, fault['loc']))} of the format {self.name}"
+            name = ".".join(map(str, fault["loc"]))
+            where = f"{name} (--{name.replace('_', '-')}), for the format {self.name}"
             if fault["type"] == "extra_forbidden":
                 known = ", ".join(self.options.model_fields)
                 cure = f"Its options are {known}." if known else "This format has no options."
@@ -125,83 +126,30 @@ class SequenceFormat:
                 raise InputError(where, "there is no such option.", cure) from error
             field = self.options.model_fields.get(str(fault["loc"][0])) if fault["loc"] else None
             cure = (field.description or "") if field else ""
-            raise InputError(where, f"is {brief(fault['input'])}; {fault['msg']}.", cure) from error
+            message = fault["msg"].replace("Input should", "it should")
+            raise InputError(where, f"is {brief(fault['input'])}; {message}.", cure) from error
         return {name: getattr(values, name) for name in self.options.model_fields}
 
 
-# The readers are imported when a recording is opened: they need OpenCV and SciPy.
+def _reader(place: str, options_type: type[Settings] | None = None) -> Callable[..., Sequence]:
+    """Return what opens a recording: its reader is imported then, and needs OpenCV and SciPy.
 
+    Args:
+        place: the reader, as ``module:function`` within ``formats``.
+        options_type: the type of its second argument; None if it takes the options by their names.
+    """
 
-def _open_kitti_raw(path: Path) -> Sequence:
-    from probevo.sequences.formats.kitti_raw import open_kitti_raw
+    def open_recording(path: Path, **options: Any) -> Sequence:
+        """Open a recording by the reader."""
+        reader = imported(f"{__package__}.formats.{place}")
+        sequence: Sequence
+        if options_type is None:
+            sequence = reader(path, **options)
+        else:
+            sequence = reader(path, options_type(**options))
+        return sequence
 
-    return open_kitti_raw(path)
-
-
-def _open_kitti_odometry(path: Path) -> Sequence:
-    from probevo.sequences.formats.kitti_odometry import open_kitti_odometry
-
-    return open_kitti_odometry(path)
-
-
-def _open_kitti_flow(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.kitti_flow import open_kitti_flow
-
-    return open_kitti_flow(path, **options)
-
-
-def _open_euroc(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.euroc import open_euroc
-
-    return open_euroc(path, **options)
-
-
-def _open_tum_vi(path: Path) -> Sequence:
-    from probevo.sequences.formats.tum_vi import open_tum_vi
-
-    return open_tum_vi(path)
-
-
-def _open_four_seasons(path: Path) -> Sequence:
-    from probevo.sequences.formats.four_seasons import open_four_seasons
-
-    return open_four_seasons(path)
-
-
-def _open_tartan_air(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.tartan_air import open_tartan_air
-
-    return open_tartan_air(path, **options)
-
-
-def _open_virtual_kitti(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.virtual_kitti import open_virtual_kitti
-
-    return open_virtual_kitti(path, **options)
-
-
-def _open_folder(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.folder import open_folder
-
-    return open_folder(path, FolderOptions(**options))
-
-
-def _open_tracks(path: Path) -> Sequence:
-    from probevo.sequences.formats.tracks_file import open_tracks
-
-    return open_tracks(path)
-
-
-def _open_rosbag(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.rosbag import open_rosbag
-
-    return open_rosbag(path, RosbagOptions(**options))
-
-
-def _open_video(path: Path, **options: Any) -> Sequence:
-    from probevo.sequences.formats.video import open_video
-
-    return open_video(path, VideoOptions(**options))
+    return open_recording
 
 
 _BUILT_IN = (
@@ -209,14 +157,14 @@ _BUILT_IN = (
         name="kitti-raw",
         summary="a synchronised drive of KITTI raw, with OXTS as IMU and ground truth",
         folder_signs=("image_00",),
-        open=_open_kitti_raw,
+        open=_reader("kitti_raw:open_kitti_raw"),
     ),
     SequenceFormat(
         name="kitti-flow",
         summary="a scene of KITTI 2012 or 2015, stereo or flow: --scene NUMBER",
         folder_signs=("flow_occ", "flow_noc", "calib_cam_to_cam"),
         folder_sign_pairs=(("calib", "image_0"), ("calib", "image_2")),
-        open=_open_kitti_flow,
+        open=_reader("kitti_flow:open_kitti_flow"),
         options=KittiFlowOptions,
     ),
     SequenceFormat(
@@ -224,39 +172,39 @@ _BUILT_IN = (
         summary="a sequence of the KITTI odometry benchmark",
         folder_signs=("image_0",),
         folder_sign_pairs=(("image_2", "times.txt"),),
-        open=_open_kitti_odometry,
+        open=_reader("kitti_odometry:open_kitti_odometry"),
     ),
     SequenceFormat(  # before euroc, whose sign it has, too
         name="tum-vi",
         summary="TUM-VI in its exported EuRoC layout, rectified on the fly",
         folder_signs=("dso/camchain.yaml",),
-        open=_open_tum_vi,
+        open=_reader("tum_vi:open_tum_vi"),
     ),
     SequenceFormat(
         name="euroc",
         summary="EuRoC MAV data in the ASL layout, rectified on the fly",
         folder_signs=("mav0", "cam0"),
-        open=_open_euroc,
+        open=_reader("euroc:open_euroc"),
         options=EurocOptions,
     ),
     SequenceFormat(
         name="4seasons",
         summary="a recording of 4Seasons with its undistorted images",
         folder_signs=("undistorted_images", "distorted_images"),
-        open=_open_four_seasons,
+        open=_reader("four_seasons:open_four_seasons"),
     ),
     SequenceFormat(
         name="tartanair",
         summary="a trajectory of TartanAir, version 1 or 2",
         folder_signs=("image_left", "image_lcam_front"),
-        open=_open_tartan_air,
+        open=_reader("tartan_air:open_tartan_air"),
         options=RateOptions,
     ),
     SequenceFormat(
         name="vkitti2",
         summary="a variation of a scene of Virtual KITTI 2",
         folder_signs=("frames/rgb/Camera_0",),
-        open=_open_virtual_kitti,
+        open=_reader("virtual_kitti:open_virtual_kitti"),
         options=RateOptions,
     ),
     SequenceFormat(  # before folder, whose calib.yaml it has, too
@@ -266,28 +214,28 @@ _BUILT_IN = (
             f"left{ending}" for suffix in VIDEO_SUFFIXES for ending in (suffix, suffix.upper())
         ),
         file_suffixes=VIDEO_SUFFIXES,
-        open=_open_video,
+        open=_reader("video:open_video", VideoOptions),
         options=VideoOptions,
     ),
     SequenceFormat(
         name="folder",
         summary="probevo's own layout for images from any source",
         folder_signs=("calib.yaml", "left"),
-        open=_open_folder,
+        open=_reader("folder:open_folder", FolderOptions),
         options=FolderOptions,
     ),
     SequenceFormat(
         name="tracks",
         summary="features tracked by another front end, in one .npz file without images",
         file_suffixes=(".npz",),
-        open=_open_tracks,
+        open=_reader("tracks_file:open_tracks"),
     ),
     SequenceFormat(
         name="rosbag",
         summary="a bag of ROS 1 or ROS 2 with stereo images, read without ROS",
         folder_signs=("metadata.yaml",),
         file_suffixes=BAG_SUFFIXES,
-        open=_open_rosbag,
+        open=_reader("rosbag:open_rosbag", RosbagOptions),
         options=RosbagOptions,
     ),
 )

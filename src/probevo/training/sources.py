@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from probevo.camera.likeness import difference
+from probevo.camera.likeness import difference_text
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_space
@@ -95,7 +95,7 @@ def checked_sources(
         # It must serve the predictors, and have the camera of the others: noise in pixels depends
         # on the camera.
         space.check_recording(sequence)
-        unlike = difference(sequence.camera, sources[0].camera) if sources else ""
+        unlike = difference_text(sequence.camera, sources[0].camera) if sources else ""
         if unlike:
             raise InputError(
                 sequence.path,

@@ -154,7 +154,7 @@ def supervision_of(
         raise InputError(
             where,
             f"it has no ground truth, which --supervision {kind} needs.",
-            "Take --supervision none, or loop if it ends where it began.",
+            "Take --supervision none, or loop if it ends where it began; the default is gt.",
         )
     if kind == "gt" and not is_known.all():
         raise InputError(

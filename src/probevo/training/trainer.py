@@ -10,11 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from probevo.entry_points import imported
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.metric import Metric
-from probevo.noise.registry import imported, noise_kinds
+from probevo.noise.registry import noise_kinds
 from probevo.predictors import PredictionSpace
+from probevo.sensor_kinds import SENSOR_KINDS
 from probevo.training.checkpoint import Checkpoint, NoCheckpoint
 from probevo.training.progress import TrainingProgress
 from probevo.training.settings import TrainSettings
@@ -76,7 +78,9 @@ def trainer_of(kind: str) -> Trainer:
     kinds = noise_kinds()
     if kind not in kinds or not kinds[kind].trainer:
         trained = ", ".join(name for name, known in kinds.items() if known.trainer)
-        raise InputError("--kind", f"{kind} cannot be trained.", f"Take one of {trained}.")
+        sensors = ", ".join(SENSOR_KINDS)
+        cure = f"Noise models are {trained}; networks that serve as sensors, {sensors}."
+        raise InputError("--kind", f"{kind} cannot be trained.", cure)
     trainer = imported(kinds[kind].trainer)
     if not isinstance(trainer, Trainer):
         raise InputError(

@@ -180,13 +180,26 @@ def _on_this_machine(
         what = "other processes cannot be used here: the system has no place for semaphores."
         cure = "Is /dev/shm there and writable, and JOBLIB_MULTIPROCESSING not 0? Or take --jobs 1."
         raise InputError("--jobs", what, cure)
-    os.environ["PYTHONSAFEPATH"] = "1"  # no module of the working directory is imported
     # One thread each: there are as many processes as cores.
-    with joblib.parallel_config("loky", inner_max_num_threads=1):
+    with _safe_path(), joblib.parallel_config("loky", inner_max_num_threads=1):
         calls = (joblib.delayed(_numbered)(work, number, task) for number, task in tasks)
         results = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(calls)
         with closing(results):
             yield from results
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let processes that start meanwhile import no module of the working directory."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _on_cluster(

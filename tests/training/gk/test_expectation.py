@@ -96,7 +96,7 @@ def test_truth_that_is_given_as_exact_may_be_wrong(world: PointWorld, drive: Dri
     noise = StudentT()
     found = expect(supervised, noise.predict, SolverConfig(), truth_sigma=EXACT).feature_errors
     assert np.isfinite(found.errors).all()
-    assert np.isfinite(found.spread).all()
+    assert np.isfinite(found.error_cov).all()
     assert np.isfinite(found.log_likelihood).all()
 
 
@@ -167,7 +167,7 @@ def test_the_spread_is_the_covariance_of_the_errors_that_the_motion_causes(
     )
     J = J / (2.0 * h) @ np.linalg.inv(gain)
     by_differences = J @ cov[step] @ J.mT
-    spread = found.feature_errors.spread[at]
+    spread = found.feature_errors.error_cov[at]
     assert np.linalg.norm(spread - by_differences) < off * np.linalg.norm(by_differences)
 
 
@@ -183,7 +183,7 @@ def test_errors_and_spread_together_scatter_as_the_noise_does(
         / len(found.feature_errors.errors)
     )
     assert np.trace(scatter) < 0.99 * np.trace(R)
-    whole = scatter + found.feature_errors.spread.mean(axis=0)
+    whole = scatter + found.feature_errors.error_cov.mean(axis=0)
     assert np.linalg.norm(whole - R) < 0.04 * np.linalg.norm(R)
 
 
@@ -270,7 +270,7 @@ def test_without_any_step_to_solve_there_is_nothing(world: PointWorld, drive: Dr
         for part in (
             found.feature_errors.features,
             found.feature_errors.errors,
-            found.feature_errors.spread,
+            found.feature_errors.error_cov,
             found.feature_errors.log_likelihood,
         )
     ] == [0] * 4
@@ -347,6 +347,6 @@ def test_errors_of_tracks_with_a_history_have_the_size_of_their_noise() -> None:
         has_history = found.profile[:, 2] == 0.0
         errors = found.errors[has_history]
         squared = np.einsum("ni,ij,nj->n", errors, information, errors)
-        spread = np.einsum("ij,nji->n", information, found.spread[has_history])
+        spread = np.einsum("ij,nji->n", information, found.error_cov[has_history])
         sizes.append(np.mean(squared + spread) / 4.0)
     assert 0.96 < np.mean(sizes) < 1.04

@@ -205,7 +205,15 @@ def test_features_that_drop_out_do_not_decide_on_time_correlation(
         samples = gather_error_samples(context, model, on_part, factors=factors)
         if len(likelihoods) > STATIC_ITERATIONS:
             likely = samples.log_likelihood > np.quantile(samples.log_likelihood, 0.05)
-            arrays = ("features", "phi", "errors", "spread", "groups", "log_likelihood", "profile")
+            arrays = (
+                "features",
+                "phi",
+                "errors",
+                "error_cov",
+                "groups",
+                "log_likelihood",
+                "profile",
+            )
             samples = replace(samples, **{name: getattr(samples, name)[likely] for name in arrays})
         likelihoods.append(samples.progress["log_likelihood"])
         return samples

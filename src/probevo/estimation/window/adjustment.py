@@ -203,7 +203,7 @@ class WindowAdjustment:
         # The landmarks that begin anew are those of their last observation by itself.
         state = window.landmarks.state.copy()
         last_px = observations.pixels[observations.start[1:] - 1]
-        state[is_alive] = first_states(last_px[is_alive], window.rig, self._camera)
+        state[is_alive] = first_states(last_px[is_alive], window.rig_errors, self._camera)
         stays = ~is_old | is_alive
         kept = selected(observations, ~is_old[rows] | begins_anew)
         return replace(
@@ -226,7 +226,7 @@ class WindowAdjustment:
             T_cam_world=window.T_cam_world,
             T_linear=window.T_linear,
             jitter=window.jitter,
-            rig=window.rig,
+            rig_errors=window.rig_errors,
             camera=self._intrinsics,
         )
 
@@ -300,7 +300,9 @@ class WindowAdjustment:
         gain = solved[:, :RIG]
         rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_gradient = gradient[rig] - gain.T @ gradient[poses]
-        tempered = rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig
+        tempered = (
+            rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig_errors
+        )
         rig_increment = self._rig_covariance(rig_information) @ tempered
         decrease = gradient[poses] @ solved[:, RIG] + rig_increment @ tempered
         pose_increment = solved[:, RIG] - gain @ rig_increment
@@ -374,7 +376,7 @@ class WindowAdjustment:
             window,
             T_cam_world=T_cam_world,
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
-            rig=window.rig + increment[-RIG:],
+            rig_errors=window.rig_errors + increment[-RIG:],
             jitter=window.jitter + jitter_increment.reshape(-1, JITTER),
             inertial=window.inertial.after_increment(system.inertial, increment),
             landmarks=window.landmarks._replace(state=state),

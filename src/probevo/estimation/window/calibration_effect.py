@@ -65,17 +65,17 @@ class PathSensitivity(NamedTuple):
 
     def subset(self, frames: BoolArray | slice | int) -> PathSensitivity:
         """Select some frames, or one."""
-        return PathSensitivity(*(part[frames] for part in self))
+        return PathSensitivity._make(part[frames] for part in self)
 
     def carried_to_new(self, prev: int, adjoint: FloatArray) -> PathSensitivity:
         """Append a frame that has what another has, in its own axes."""
-        return PathSensitivity(
-            *(np.concatenate([part, (adjoint @ part[prev])[None]]) for part in self)
+        return PathSensitivity._make(
+            np.concatenate([part, (adjoint @ part[prev])[None]]) for part in self
         )
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> PathSensitivity:
         """Return what was added from one frame to another, given the adjoint of that motion."""
-        return PathSensitivity(*(part[slot] - adjoint @ part[other] for part in self))
+        return PathSensitivity._make(part[slot] - adjoint @ part[other] for part in self)
 
     def with_step(self, motion: CommonMode, used: ImageErrors) -> PathSensitivity:
         """Add the last step to the newest frame.
@@ -92,8 +92,8 @@ class PathSensitivity(NamedTuple):
                 motion.distortion_gain @ used.distortion + motion.readout_gain * used.readout_s
             ),
         )
-        return PathSensitivity(
-            *(_added_to_last(part, more) for part, more in zip(self, added, strict=True))
+        return PathSensitivity._make(
+            _added_to_last(part, more) for part, more in zip(self, added, strict=True)
         )
 
 

@@ -33,7 +33,7 @@ class WindowGeometry(NamedTuple):
     """Linearisation points of the poses, [K, 4, 4], m."""
     jitter: FloatArray
     """ω of each frame, [K, 3], rad."""
-    rig: FloatArray
+    rig_errors: FloatArray
     """(b₀, b₁, b₂) in px and k₁, [4]."""
     camera: Intrinsics
 

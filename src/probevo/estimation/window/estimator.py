@@ -17,7 +17,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_correction import Shares
-from probevo.estimation.motion_estimate import Status
+from probevo.estimation.motion_estimate import MAX_UNKNOWN, Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
@@ -32,11 +32,6 @@ from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
-
-MAX_UNKNOWN = np.repeat([1e3, 2.0], 3)
-"""Largest standard deviation of a measured motion, m and rad: a kilometre, and that of an angle of
-which nothing is known (π/√3). Beside features that know the motions between other frames to 0.1 mm,
-rounding would lose what is less certain."""
 
 
 @dataclass(frozen=True)

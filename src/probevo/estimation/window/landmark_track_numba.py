@@ -339,7 +339,7 @@ def _fill_errors(
     v = fv * y + geometry.camera.cv
     u_r = u - disparity
     # β(x)ᵀ b is true minus measured disparity: it makes the measured one smaller, and u_r larger.
-    rig = geometry.rig
+    rig = geometry.rig_errors
     rig_error = rig[0] + x * (rig[1] + x * rig[2])
     # The jitter of the right camera, which sees the landmark at (x_r, y).
     x_r = x - disparity / fu

@@ -133,7 +133,9 @@ def with_tracks(
     if noise.time_correlated is not None:
         variance = noise.time_correlated
     landmarks = WindowLandmarks(
-        state=np.concatenate([window.landmarks.state, first_states(first_px, window.rig, camera)]),
+        state=np.concatenate(
+            [window.landmarks.state, first_states(first_px, window.rig_errors, camera)]
+        ),
         error_information=np.concatenate(
             [
                 window.landmarks.error_information,

@@ -67,7 +67,7 @@ class Window:
     T_linear: FloatArray
     """Linearisation points T̄ of the poses, [K, 4, 4]; that of a pose is fixed once the prior
     contains it."""
-    rig: FloatArray
+    rig_errors: FloatArray
     """Disparity errors (b₀, b₁, b₂) of the rig in px, and the distortion k₁ of its lenses, [4]."""
     is_blind: BoolArray
     """Which frames no feature connects with others, so that their poses are dead-reckoned, [K]."""
@@ -106,7 +106,7 @@ class Window:
             T_cam_world=np.eye(4)[None],
             T_linear=np.eye(4)[None],
             is_blind=np.zeros(1, np.bool_),
-            rig=np.zeros(RIG),
+            rig_errors=np.zeros(RIG),
             jitter=np.zeros((1, JITTER)),
             jitter_cov=RIGID_SIGMA_RAD**2 * np.eye(JITTER),
             prior=MarginalPrior(information, np.zeros(POSE + RIG)),
@@ -258,7 +258,7 @@ class Window:
         """Return x of the prior: offsets of the poses, and the rig, [6K + 4]."""
         x = np.empty(POSE * len(self) + RIG)
         x[:-RIG] = se3.log(self.T_cam_world @ se3.inverse(self.T_linear)).ravel()
-        x[-RIG:] = self.rig
+        x[-RIG:] = self.rig_errors
         return x
 
 

@@ -99,6 +99,7 @@ class GeneralizedKernel:
         self.camera = camera
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
+        self.time_correlation_ratio_ = time_correlation_ratio
         self.jitter_cov = jitter_cov
 
     @property
@@ -208,8 +209,8 @@ class GeneralizedKernel:
 
     def _noise(self, students: StudentTBatch, out_of_domain: BoolArray) -> StereoNoise:
         time_correlated = None
-        if self.time_correlation_ratio:
-            time_correlated = self.time_correlation_ratio**2 * disparity_variance(students.scale)
+        if self.time_correlation_ratio_:
+            time_correlated = self.time_correlation_ratio_**2 * disparity_variance(students.scale)
         return StereoNoise(
             scale=students.scale,
             dof=students.dof,
@@ -328,7 +329,7 @@ class GeneralizedKernel:
             "domain_radius": self.domain_radius_,
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
-            "time_correlation_ratio": self.time_correlation_ratio,
+            "time_correlation_ratio": self.time_correlation_ratio_,
             "samples": self.num_samples_,
             **origin_facts(self.camera, self.training),
         }

@@ -12,6 +12,7 @@ from probevo.noise.base import RefersTo
 from probevo.noise.gk.centers import MAX_LOG, Centers
 from probevo.noise.metric import Metric, have_shapes
 from probevo.noise.origin import OriginFacts
+from probevo.noise.positive_definite import is_positive_definite
 from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTBatch
 
 Variant = Literal["robust", "published"]
@@ -65,8 +66,7 @@ def check_arrays(metric: Metric, centers: Centers, prior: StudentTBatch) -> None
         and (np.abs(centers.logarithms) < MAX_LOG).all()
         and count > 0
         and (prior.dof > 0.0).all()
-        and np.allclose(prior.scale[0], prior.scale[0].T, rtol=1e-9, atol=0.0)
-        and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)
+        and is_positive_definite(prior.scale[0], DIM)
     )
     if not fits:
         raise ValueError("its arrays do not fit together")

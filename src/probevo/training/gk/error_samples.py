@@ -60,7 +60,7 @@ class ErrorSamples:
     """Place of each feature in the prediction space, [N, M]."""
     errors: FloatArray
     """Error of each feature, [N, 4], px."""
-    spread: FloatArray
+    error_cov: FloatArray
     """Covariance of each error that the uncertainty of the motion causes, [N, 4, 4], px²."""
     groups: IntArray
     """Block of time of each feature, [N]; the blocks of one drive follow those of another."""
@@ -205,7 +205,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
         features=task.first_feature + found.features,
         phi=found.phi,
         errors=found.errors,
-        spread=found.spread,
+        error_cov=found.error_cov,
         groups=task.number * BLOCKS_A_DRIVE + block,  # no drive has more blocks than that
         log_likelihood=found.log_likelihood,
         profile=found.profile,

@@ -22,8 +22,8 @@ from probevo.training.supervised_drive import SupervisedDrive
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Standard deviation of the motion of a step whose features do not fix it, m and rad."""
 UNKNOWN_VARIANCE_M2 = UNSOLVED_SIGMA[0] ** 2 / 4.0
-"""Variance in x, m², above which a motion is known neither from the features nor from the truth: a
-step without a solve has twice that σ, unless the truth lowers it."""
+"""Variance in x, m², above which the truth says nothing of the motion of a step without a solve: by
+itself, this has twice that σ."""
 
 
 Predict = Callable[[FloatArray], StereoNoise]
@@ -37,13 +37,14 @@ class MotionPosterior(NamedTuple):
     """Mean of each motion, [K − 1, 4, 4]."""
     cov: FloatArray
     """Covariance of each left perturbation ξ = [ρ; φ], [K − 1, 6, 6]."""
+    is_solved: BoolArray
+    """Whether the features fix each motion, [K − 1]."""
     correlations: StepCorrelations | None = None
     """What correlates the errors of the motions; None if they are used each by itself."""
 
-    @property
-    def is_solved(self) -> BoolArray:
-        """Whether anything is known of each motion, [K − 1]: it does not have UNSOLVED_SIGMA."""
-        return np.asarray((self.cov != np.diag(UNSOLVED_SIGMA**2)).any(axis=(1, 2)))
+    def is_known(self, index: int) -> bool:
+        """Return whether the features or the truth say what the motion of a step was."""
+        return bool(self.is_solved[index] or self.cov[index, 0, 0] <= UNKNOWN_VARIANCE_M2)
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def expect(
             is_solved=solved.is_solved,
             correlations=solved.correlations,
         )
-        posterior = MotionPosterior(T_curr_prev, cov)
+        posterior = MotionPosterior(T_curr_prev, cov, solved.is_solved)
     # Second pass: the errors of the features at these motions.
     rng = np.random.default_rng([*seed])
     return Expectation(
@@ -129,8 +130,10 @@ def solve_drive(drive: SupervisedDrive, predict: Predict, solver: SolverConfig) 
     """
     motions = []
     covariances = []
+    is_solved = []
     correlations = []
     for step in solved_steps(drive, predict, solver):
+        is_solved.append(step.estimate is not None)
         if step.estimate is None:
             motions.append(step.T_curr_prev)
             covariances.append(np.diag(UNSOLVED_SIGMA**2))
@@ -142,6 +145,7 @@ def solve_drive(drive: SupervisedDrive, predict: Predict, solver: SolverConfig) 
     return MotionPosterior(
         T_curr_prev=np.reshape(motions, (-1, 4, 4)),
         cov=np.reshape(covariances, (-1, 6, 6)),
+        is_solved=np.array(is_solved, np.bool_),
         correlations=StepCorrelations.of(correlations),
     )
 
@@ -167,7 +171,7 @@ def feature_errors(
             is_in_front = solution.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
             common = CommonUnknowns.of(step.estimate, posterior.cov[step.index])
-            errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
+            errors, error_cov, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
             # The profile in closed form holds only for tracks without a known past.
@@ -179,7 +183,7 @@ def feature_errors(
                     features=first_feature + step.used[kept],
                     phi=step.phi[step.used[kept]],
                     errors=errors,
-                    spread=spread,
+                    error_cov=error_cov,
                     log_likelihood=log_likelihood,
                     profile=profile.rows(),
                     jitter_moments=np.reshape(moments, (-1, 3, 3)),
@@ -238,7 +242,7 @@ def solved_steps(
                     estimate = _determined(
                         estimator.estimate(tracks, noise, disparities, guess=guess)
                     )
-                elif not given.cov[index, 0, 0] > UNKNOWN_VARIANCE_M2:
+                elif given.is_known(index):
                     estimate = estimator.evaluate(
                         tracks,
                         noise,

@@ -15,7 +15,7 @@ does not contribute. The likelihood of an iteration is that of the residuals at 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -55,9 +55,8 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     the residuals of the same features likelier by a margin: where noise differs from place to
     place, a model that is the same everywhere may mistake this for time correlation.
     """
-    settings = context.settings.gk
     model = StudentT(
-        refers_to=settings.refers_to,
+        refers_to=context.settings.gk.refers_to,
         camera=context.drives[0].camera,
         training={"iterations": []},
         time_correlation_ratio=0.0,
@@ -67,59 +66,83 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     without: FeatureLikelihoods | None = None
     last = num_static_iterations(context.settings) - 1
     for number in range(last + 1):
-        # From here on with time correlation: keep the model without it for the comparison.
+        has_correlation = number >= STATIC_ITERATIONS
         if number == STATIC_ITERATIONS:
             uncorrelated = model
-            model = copy(model)
         stored = context.checkpoint.em_model(number)
         if isinstance(stored, StudentT):
             model = stored
         else:
-            # E-step: motions given the noise, and the errors of the features at these motions.
-            factors = recording_factors(model.training, len(context.drives))
-            samples = gather_error_samples(
-                context, model, context.progress.within_iteration, factors=factors
-            )
-            # The likelihoods are those of the model before the M-step: the first iteration with
-            # time correlation evaluates the last model without.
+            model, likelihoods = _iterated(context, model, learns_time_correlation=has_correlation)
+            # They are those of the model before the iteration: the first one with time correlation
+            # evaluates the last model without.
             if number == STATIC_ITERATIONS:
-                without = samples.likelihoods
-            # M-step: the Student-t of these errors, whose uncertainty is their spread.
-            factors = fit_with_factors(model, samples, factors)
-            model.scale_is_relative = True  # that of a new recording is not known
-            model.jitter_cov = updated_jitter(model.jitter_cov, samples)
-            if number >= STATIC_ITERATIONS:
-                model.time_correlation_ratio = updated_time_correlation(
-                    model.time_correlation_ratio, samples
-                )
-            iterations = [*model.training["iterations"], samples.progress]
-            training: dict[str, Any] = {
-                "iterations": iterations,
-                "recording_factors": factors.tolist(),
-            }
-            if settings.learns_time_correlation and number == last:
+                without = likelihoods
+            if has_correlation and number == last:
                 if without is None:
                     # That iteration was done before the training was stopped and resumed.
-                    without = gather_error_samples(
-                        context,
-                        uncorrelated,
-                        _unreported,
-                        factors=recording_factors(uncorrelated.training, len(context.drives)),
-                    ).likelihoods
-                training["time_correlation_gain"] = samples.likelihoods.gain_over(without)
-            model.training = training
+                    without = _errors_under(context, uncorrelated, _unreported).likelihoods
+                gain = likelihoods.gain_over(without)
+                model.training = {**model.training, "time_correlation_gain": gain}
             context.checkpoint.keep_em_model(number, model)
         context.progress.iteration_done()
+    return _chosen(context, model, uncorrelated)
 
-    # Decide between the models with and without time correlation.
-    iterations = model.training["iterations"]
-    kept: dict[str, Any] = {"kept_iteration": len(iterations)}
-    if settings.learns_time_correlation:
-        kept["time_correlation_gain"] = model.training["time_correlation_gain"]
-        if kept["time_correlation_gain"] < TIME_CORRELATION_GAIN:
+
+def _iterated(
+    context: TrainingContext, previous: StudentT, *, learns_time_correlation: bool
+) -> tuple[StudentT, FeatureLikelihoods]:
+    """Return the model after one EM iteration, and the likelihoods of the features under the one
+    before."""
+    # E-step: motions given the noise, and the errors of the features at these motions.
+    samples = _errors_under(context, previous, context.progress.within_iteration)
+    # M-step: the Student-t of these errors, whose uncertainty is in their covariance.
+    model = copy(previous)
+    factors = recording_factors(previous.training, len(context.drives))
+    factors = fit_with_factors(model, samples, factors)
+    model.scale_is_relative_ = True  # that of a new recording is not known
+    model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
+    if learns_time_correlation:
+        model.time_correlation_ratio_ = updated_time_correlation(
+            previous.time_correlation_ratio_, samples
+        )
+    model.training = {
+        "iterations": [*previous.training["iterations"], samples.progress],
+        "recording_factors": factors.tolist(),
+    }
+    return model, samples.likelihoods
+
+
+def _errors_under(
+    context: TrainingContext, model: StudentT, on_part: Callable[[float], None]
+) -> ErrorSamples:
+    """Return the errors of the features at the motions that a static model finds.
+
+    Args:
+        context: the drives.
+        model: the noise.
+        on_part: is called with the share of the drives that is done.
+    """
+    factors = recording_factors(model.training, len(context.drives))
+    return gather_error_samples(context, model, on_part, factors=factors)
+
+
+def _chosen(context: TrainingContext, last: StudentT, uncorrelated: StudentT) -> StudentT:
+    """Decide between the last model and the one without time correlation, and complete what the
+    model says of its training."""
+    model = last
+    kept: dict[str, Any] = {}
+    gain = last.training.get("time_correlation_gain")
+    if gain is not None:
+        kept["time_correlation_gain"] = gain
+        if gain < TIME_CORRELATION_GAIN:
             model = uncorrelated
-            iterations = iterations[: STATIC_ITERATIONS + 1]
-            kept["kept_iteration"] = STATIC_ITERATIONS
+    # The first iteration with time correlation has evaluated the model without.
+    num_iterations_kept = len(model.training["iterations"])
+    iterations = last.training["iterations"]
+    if model is uncorrelated:
+        iterations = iterations[: num_iterations_kept + 1]
+    kept["kept_iteration"] = num_iterations_kept
     kept["recording_factors"] = model.training["recording_factors"]
     model.training = training_facts(context, iterations, searches={}) | kept
     return model
@@ -201,16 +224,16 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 samples.phi,
                 samples.errors,
                 samples.groups,
-                error_cov=samples.spread,
+                error_cov=samples.error_cov,
                 metric=context.metric,
                 on_progress=lambda done, total: context.progress.within_iteration(
                     0.5 + 0.5 * done / max(total, 1)
                 ),
             )
             model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
-            if previous.time_correlation_ratio:
-                model.time_correlation_ratio = updated_time_correlation(
-                    previous.time_correlation_ratio, samples
+            if previous.time_correlation_ratio_:
+                model.time_correlation_ratio_ = updated_time_correlation(
+                    previous.time_correlation_ratio_, samples
                 )
             model.training = history.facts_after(model, samples.progress)
             model = model.without_samples()

@@ -25,7 +25,7 @@ class FeatureErrors:
     """Place of each in the prediction space, [m, M]."""
     errors: FloatArray
     """What the noise model describes: residuals, or errors of single observations, [m, 4], px."""
-    spread: FloatArray
+    error_cov: FloatArray
     """Covariance of each error that the uncertainty of the motion causes, [m, 4, 4], px²."""
     log_likelihood: FloatArray
     """Log density of each residual under the noise that the motions were solved with, [m], nats."""
@@ -44,7 +44,7 @@ class FeatureErrors:
             features=np.zeros(0, np.int64),
             phi=np.zeros((0, columns)),
             errors=np.zeros((0, 4)),
-            spread=np.zeros((0, 4, 4)),
+            error_cov=np.zeros((0, 4, 4)),
             log_likelihood=np.zeros(0),
             profile=np.zeros((0, 4)),
             jitter_moments=np.zeros((0, 3, 3)),
@@ -80,7 +80,7 @@ def errors_of(
     )
     out = ErrorArrays(
         errors=np.empty((count, 4)),
-        spread=np.empty((count, 4, 4)),
+        error_cov=np.empty((count, 4, 4)),
         squared=np.empty(count),
         log_det=np.empty(count),
     )
@@ -89,4 +89,4 @@ def errors_of(
     rescale_errors(features, common.mean, common.cov, noise.refers_to == "observation", out)
     # The likelihood is that of the residual, not of the rescaled error.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])
-    return out.errors + noise.bias[chosen], out.spread, log_likelihood
+    return out.errors + noise.bias[chosen], out.error_cov, log_likelihood

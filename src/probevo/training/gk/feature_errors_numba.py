@@ -30,7 +30,7 @@ class ErrorArrays(NamedTuple):
 
     errors: FloatArray
     """Error of each feature, bias removed, [m, 4], px."""
-    spread: FloatArray
+    error_cov: FloatArray
     """Covariance of each error that the uncertainty of these unknowns causes, [m, 4, 4], px²."""
     squared: FloatArray
     """Squared Mahalanobis distance eᵀ Σ⁻¹ e, [m]."""
@@ -62,7 +62,7 @@ def rescale_errors(
     jacobian = features.jacobian
     scale = features.scale
     errors = out.errors
-    spread = out.spread
+    error_cov = out.error_cov
     sigma = np.empty((4, 4))
     lower = np.zeros((4, 4))
     root = np.zeros((4, 4))
@@ -109,7 +109,7 @@ def rescale_errors(
             errors[n, i] = back[i, 0]
             for k in range(num_common):
                 errors[n, i] -= back[i, 1 + k] * mean[k]
-            # Row i of the spread, J cov Jᵀ, up to its diagonal: rows before have been coloured.
+            # Row i of the covariance, J cov Jᵀ, up to its diagonal: rows before have been coloured.
             for k in range(num_common):
                 times_cov[i, k] = 0.0
                 for j in range(num_common):
@@ -118,4 +118,4 @@ def rescale_errors(
                 total = 0.0
                 for k in range(num_common):
                     total += times_cov[i, k] * back[j, 1 + k]
-                spread[n, i, j] = spread[n, j, i] = total
+                error_cov[n, i, j] = error_cov[n, j, i] = total

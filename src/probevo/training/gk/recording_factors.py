@@ -42,7 +42,7 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
         the new factors, [D], whose geometric mean over all features is 1.
     """
     if len(factors) == 1:
-        model.fit(samples.phi, samples.errors, error_cov=samples.spread)
+        model.fit(samples.phi, samples.errors, error_cov=samples.error_cov)
         return factors
     counts = np.bincount(samples.drives, minlength=len(factors))
     for _ in range(ROUNDS):
@@ -50,7 +50,7 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
         model.fit(
             samples.phi,
             samples.errors / np.sqrt(of_feature)[:, None],
-            error_cov=samples.spread / of_feature[:, None, None],
+            error_cov=samples.error_cov / of_feature[:, None, None],
         )
         factors = _likeliest_factors(model, samples, factors)
         factors = factors / np.exp(np.average(np.log(factors), weights=counts))
@@ -65,7 +65,7 @@ def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArr
     inverse = np.linalg.inv(model.scale_)
     # eᵀ Σ⁻¹ e, and its expectation over what is uncertain of e
     squared = np.einsum("ni,ij,nj->n", samples.errors, inverse, samples.errors)
-    squared += np.einsum("ij,nji->n", inverse, samples.spread)
+    squared += np.einsum("ij,nji->n", inverse, samples.error_cov)
     found = factors.copy()
     for drive in np.unique(samples.drives):
         of_drive = squared[samples.drives == drive]
