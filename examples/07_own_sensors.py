@@ -48,7 +48,7 @@ def main(path: str) -> None:
             estimate = odometry.step(frame)
             recorder.add(frame.stamp_ns, estimate)
         off = estimate.T_world_cam[:3, :3] @ truth[-1, :3, :3].T
-        sigma = np.sqrt(estimate.pose_cov[4, 4])
+        sigma = np.sqrt(estimate.cov_cam_world[4, 4])
         names = " and ".join(sensor.__name__ for sensor in sensors) or "no sensor"
         turn = np.rad2deg(np.arctan2(off[0, 2], off[2, 2]))
         print(f"{names}: heading off by {turn:.2f}° at the end, claimed ± {np.rad2deg(sigma):.2f}°")

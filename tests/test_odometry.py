@@ -197,7 +197,7 @@ def test_the_covariance_of_blind_motions_holds_their_error(steps: int) -> None:
         ).all()
     T_true = se3.chain_motions(np.array([*[FORWARD] * 11, *truth]))[-1]
     error = se3.log(se3.inverse(motions[-1].T_world_cam) @ T_true)
-    assert (np.abs(error) < 1.1 * np.sqrt(np.diagonal(motions[-1].pose_cov))).all()
+    assert (np.abs(error) < 1.1 * np.sqrt(np.diagonal(motions[-1].cov_cam_world))).all()
 
 
 def test_images_are_accepted_again_at_once() -> None:
@@ -248,8 +248,8 @@ def test_after_a_long_pause_the_window_goes_on(first: int, pause_s: int) -> None
     ]
     for motion in run(frames)[1:]:
         assert is_proper(motion)
-        assert np.isfinite(motion.pose_cov).all()
-        assert (np.diag(motion.pose_cov) >= 0.0).all()
+        assert np.isfinite(motion.cov_cam_world).all()
+        assert (np.diag(motion.cov_cam_world) >= 0.0).all()
 
 
 @pytest.mark.parametrize("pause_s", [3, 10, 100])
@@ -295,8 +295,8 @@ def test_stamps_of_any_distance_leave_covariances(kind: str, window_frames: int)
     config = pv.OdometryConfig.model_validate({"window": {"frames": window_frames}})
     for motion in run(frames, config)[1:]:
         assert is_proper(motion)
-        sigma = np.sqrt(np.diag(motion.pose_cov))
-        assert np.linalg.eigvalsh(motion.pose_cov / sigma[:, None] / sigma)[0] > -1e-6
+        sigma = np.sqrt(np.diag(motion.cov_cam_world))
+        assert np.linalg.eigvalsh(motion.cov_cam_world / sigma[:, None] / sigma)[0] > -1e-6
 
 
 def test_outlier_frames_are_refused() -> None:
@@ -500,7 +500,7 @@ def test_in_a_blackout_the_attitude_by_the_gyro_is_consistent() -> None:
             seen = frame if frame.index < 2 else replace(blind_frame(frame.index), imu=frame.imu)
             motion = odometry.step(seen)
         error = so3.log(truth[-1][:3, :3].T @ motion.T_world_cam[:3, :3])
-        squared.append(error @ np.linalg.solve(motion.pose_cov[3:, 3:], error))
+        squared.append(error @ np.linalg.solve(motion.cov_cam_world[3:, 3:], error))
     low, high = chi2_interval(dof=3, count=20)
     assert low < np.mean(squared) < high
 
@@ -684,7 +684,7 @@ def test_a_pose_that_was_returned_may_be_written_to(estimator: str) -> None:
         motion = odometry.step(frame)
         np.testing.assert_array_equal(motion.T_world_cam, expected.T_world_cam)
         motion.T_world_cam[:3, 3] *= 1000.0
-        motion.pose_cov[:] = np.nan
+        motion.cov_cam_world[:] = np.nan
 
 
 def test_images_that_overwrite_those_of_the_last_usable_frame_are_refused(tmp_path: Path) -> None:

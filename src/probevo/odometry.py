@@ -525,7 +525,7 @@ class StereoOdometry:
             motion,
             # Copies: the caller may write to them.
             T_world_cam=fusion.pose.T_world_cam.copy(),
-            pose_cov=fusion.pose.cov.copy(),
+            cov_cam_world=fusion.pose.cov.copy(),
             noise_factor=state.noise_scale.factor,
             sensors=outcomes,
             imu_reason=Inertial.of(window).reason,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from probevo.camera.likeness import difference
+from probevo.camera.likeness import difference_text
 from probevo.cli import train
 from probevo.cli.text import table
 from probevo.errors import InputError
@@ -39,7 +39,7 @@ def refuse_other_camera(drives: Sequence[sequences.Sequence], option: str) -> No
     """
     first = drives[0]
     for drive in drives[1:]:
-        unlike = difference(drive.camera, first.camera)
+        unlike = difference_text(drive.camera, first.camera)
         if unlike:
             what = f"the camera of {drive.path} is not that of {first.path}: {unlike}."
             raise InputError(option, what, "Give drives of one camera.")

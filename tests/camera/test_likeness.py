@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from probevo.camera.likeness import TOLERANCE, difference
+from probevo.camera.likeness import TOLERANCE, difference_text
 from probevo.camera.stereo import StereoCamera
 from worlds import CAMERA
 
@@ -21,7 +21,7 @@ def scaled(name: str, factor: float) -> StereoCamera:
 
 
 def test_a_camera_is_like_itself() -> None:
-    assert difference(CAMERA, CAMERA) == ""
+    assert difference_text(CAMERA, CAMERA) == ""
 
 
 @pytest.mark.parametrize(("name", "words", "unit"), PROPERTIES)
@@ -33,26 +33,28 @@ def test_a_property_that_is_off_by_more_is_said(
     expected = (
         f"its {words} is {getattr(other, name):g} {unit}, not {getattr(CAMERA, name):g} {unit}"
     )
-    assert difference(other, CAMERA) == expected
+    assert difference_text(other, CAMERA) == expected
 
 
 @pytest.mark.parametrize(("name", "words", "unit"), PROPERTIES)
 @pytest.mark.parametrize("factor", [0.91, 0.98, 1.02, 1.09])
 def test_small_differences_are_none(name: str, words: str, unit: str, factor: float) -> None:
     assert (
-        difference(scaled(name, factor), CAMERA) == difference(CAMERA, scaled(name, factor)) == ""
+        difference_text(scaled(name, factor), CAMERA)
+        == difference_text(CAMERA, scaled(name, factor))
+        == ""
     )
 
 
 def test_it_does_not_matter_which_is_which() -> None:
     for factor in (0.5, 0.89, 0.899, 0.901, 0.95, 1.05, 1.09, 1.11, 1.12, 3.0):
         other = scaled("baseline_m", factor)
-        assert bool(difference(other, CAMERA)) == bool(difference(CAMERA, other))
+        assert bool(difference_text(other, CAMERA)) == bool(difference_text(CAMERA, other))
 
 
 def test_where_the_axes_meet_the_image_is_no_matter() -> None:
     assert (
-        difference(replace(CAMERA, cu_px=0.5 * CAMERA.cu_px, cv_px=2.0 * CAMERA.cv_px), CAMERA)
+        difference_text(replace(CAMERA, cu_px=0.5 * CAMERA.cu_px, cv_px=2.0 * CAMERA.cv_px), CAMERA)
         == ""
     )
 
@@ -66,12 +68,12 @@ def test_where_the_axes_meet_the_image_is_no_matter() -> None:
 )
 def test_the_resolution_matters_where_both_are_known(size_px: tuple[int, int], what: str) -> None:
     other = replace(CAMERA, size_px=size_px)
-    assert difference(other, CAMERA) == what
-    assert difference(replace(other, size_px=None), CAMERA) == ""
-    assert difference(other, replace(CAMERA, size_px=None)) == ""
+    assert difference_text(other, CAMERA) == what
+    assert difference_text(replace(other, size_px=None), CAMERA) == ""
+    assert difference_text(other, replace(CAMERA, size_px=None)) == ""
 
 
 def test_the_first_difference_is_said() -> None:
-    assert "focal length" in difference(
+    assert "focal length" in difference_text(
         StereoCamera(100.0, 100.0, 50.0, cv_px=50.0, baseline_m=0.1, size_px=(100, 100)), CAMERA
     )

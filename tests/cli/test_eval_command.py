@@ -151,6 +151,7 @@ def bad_poses(wall_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("RUN", "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
         ("RUN", "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
         ("RUN", "none.txt", ["none.txt: this file is missing"]),
+        ("RUN", "empty", ["empty: is a folder", "Give a file of poses"]),
         ("BAD/empty", "short.txt", ["empty/motions.npz: this file is missing"]),
     ],
 )

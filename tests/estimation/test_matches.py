@@ -192,7 +192,7 @@ def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None
     T_world_cam, cov = pv.compound(motions)
     assert T_world_cam.shape == (5, 4, 4)
     np.testing.assert_allclose(T_world_cam[-1], motions[-1].T_world_cam, atol=1e-12)
-    np.testing.assert_allclose(cov[-1], motions[-1].pose_cov, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(cov[-1], motions[-1].cov_cam_world, rtol=1e-9, atol=1e-13)
     with pytest.raises(InputError, match="not a MotionEstimate"):
         pv.compound([np.eye(4)])  # type: ignore[list-item]
 

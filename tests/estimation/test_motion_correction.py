@@ -137,7 +137,7 @@ class Driven:
         """That of the last pose."""
         T_cam_world = se3.inverse(self.steps[-1].T_world_cam)
         truth = np.linalg.matrix_power(FORWARD, len(self.steps))
-        return nees(T_cam_world, truth, self.steps[-1].pose_cov)
+        return nees(T_cam_world, truth, self.steps[-1].cov_cam_world)
 
     @property
     def nees_of_steps(self) -> float:

@@ -66,9 +66,7 @@ def test_the_pose_and_the_first_camera_are_as_certain_as_claimed() -> None:
         assert estimate.sensors[0].state == "used"
         T_cam_world = np.linalg.matrix_power(FORWARD, STEPS)
         squared.append(
-            normalized_error_squared(
-                se3.inverse(estimate.T_world_cam), T_cam_world, estimate.pose_cov
-            )
+            normalized_error_squared(estimate.T_cam_world, T_cam_world, estimate.cov_cam_world)
         )
         assert odometry.state is not None
         pose = odometry.state.pose

@@ -86,7 +86,7 @@ def test_steps_and_path_are_within_their_covariance(blind: tuple[int, ...], esti
             np.array([step.common_mode for step in steps]),
             np.array([step.path_cross_cov for step in steps]),
         )[-1]
-        np.testing.assert_allclose(steps[-1].pose_cov, cov, rtol=1e-5, atol=1e-11)
+        np.testing.assert_allclose(steps[-1].cov_cam_world, cov, rtol=1e-5, atol=1e-11)
         of_pose.append(
             normalized_error_squared(se3.inverse(T_world_cam_true), se3.inverse(T_world_cam), cov)
         )
@@ -263,17 +263,17 @@ def test_a_window_connects_the_frames_before_with_any_behind_that_see_the_same(
             if frame.index:
                 T_world_cam = T_world_cam @ se3.inverse(true[frame.index - 1])
             if frame.index == hidden.start:
-                uncertain = motion.pose_cov
+                uncertain = motion.cov_cam_world
         lost = [k for k, status in enumerate(statuses) if status is not pv.Status.OK]
         assert lost == [0, hidden.start]
         # Dead reckoning has left 0.02 rad, which is in all later poses but for the connection.
         assert np.sqrt(np.diagonal(uncertain)[3:]).max() > 0.015
-        assert np.sqrt(np.diagonal(motion.pose_cov)[3:]).max() < 0.003
+        assert np.sqrt(np.diagonal(motion.cov_cam_world)[3:]).max() < 0.003
         assert odometry.state is not None
         assert odometry.state.unconnected is None
         of_pose.append(
             normalized_error_squared(
-                se3.inverse(T_world_cam), se3.inverse(motion.T_world_cam), motion.pose_cov
+                se3.inverse(T_world_cam), motion.T_cam_world, motion.cov_cam_world
             )
         )
     _, high = chi2_interval(6, len(of_pose))

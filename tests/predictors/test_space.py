@@ -16,7 +16,7 @@ from probevo.predictors import (
     Step,
     prediction_space,
 )
-from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking.tracks import Tracks
 from training.supervised_drives import recording
@@ -237,3 +237,13 @@ def test_an_array_of_another_shape_is_refused(values: FloatArray) -> None:
     pair = own("pair", lambda step: values, "a", "b")
     with pytest.raises(InputError, match=rf"predictor pair: [\s\S]*Return \[{COUNT}, 2\]"):
         PredictionSpace((pair,))(STEP)
+
+
+@pytest.mark.parametrize("name", ["window_difference", "alignment"])
+def test_features_of_another_front_end_have_no_alignment_even_with_images(name: str) -> None:
+    """It would be NaN where none may be."""
+    given = StereoFeatures(STEP.tracks.ids, STEP.tracks.curr_px)
+    step = replace(STEP, curr_frame=replace(STEP.curr_frame, features=given))
+    with pytest.raises(InputError, match=f"no features of our own front end, .* {name} needs"):
+        prediction_space(["place", name])(step)
+    prediction_space(["place", "structure"])(step)

@@ -53,7 +53,7 @@ def test_the_format_of_the_example_is_registered(
 ) -> None:
     assert "rover" in format_names()
     assert open_sequence(tmp_path, "rover").camera.fu_px == 50.0
-    with pytest.raises(InputError, match="option focal_px of the format rover: is -1"):
+    with pytest.raises(InputError, match=r"focal_px \(--focal-px\), for the format rover: is -1"):
         open_sequence(tmp_path, focal_px=-1)
 
 

@@ -41,19 +41,19 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     "left folder empty": (clear("left"), ["left", "no image"]),
     "calib missing": (remove("calib.yaml"), ["calib.yaml", "missing"]),
     "calib not yaml": (write("calib.yaml", b"fu_px: [1"), ["calib.yaml", "not YAML"]),
-    "calib empty": (write("calib.yaml", b""), ["calib.yaml", "dictionary"]),
+    "calib empty": (write("calib.yaml", b""), ["calib.yaml", "empty"]),
     "calib binary": (write("calib.yaml", b"\xff\xfe\x00"), ["calib.yaml", "text"]),
     "calib key missing": (
         replace("calib.yaml", "fu_px: 50.0", ""),
-        ["calib.yaml", "fu_px", "required"],
+        ["calib.yaml", "fu_px is missing"],
     ),
     "calib key unknown": (
         replace("calib.yaml", "fu_px", "fx_px"),
-        ["calib.yaml", "fx_px", "not permitted"],
+        ["calib.yaml", "fx_px is not known (did you mean fu_px?)"],
     ),
     "calib imu key unknown": (
         append("calib.yaml", "  colour: red"),
-        ["calib.yaml", "imu.colour", "not permitted"],
+        ["calib.yaml", "imu.colour is not known"],
     ),
     "calib not a number": (
         replace("calib.yaml", "cu_px: 31.5", "cu_px: wide"),
@@ -101,7 +101,7 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     ),
     "T_cam_imu missing": (
         replace("calib.yaml", "T_cam_imu", "T_cam"),
-        ["calib.yaml", "imu.T_cam_imu", "required"],
+        ["calib.yaml", "imu.T_cam_imu is missing"],
     ),
     "C_cam_imu of earlier versions": (
         replace("calib.yaml", "T_cam_imu:", "C_cam_imu:"),
@@ -323,7 +323,7 @@ EUROC: dict[str, tuple[Edit, list[str]]] = {
     ),
     "T_BS missing": (
         replace("mav0/cam0/sensor.yaml", "T_BS", "T_SB"),
-        ["cam0/sensor.yaml", "T_BS", "required"],
+        ["cam0/sensor.yaml", "T_BS is missing"],
     ),
     "T_BS too short": (
         replace("mav0/cam1/sensor.yaml", "1.0, ", ""),

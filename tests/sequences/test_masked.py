@@ -151,6 +151,7 @@ def test_what_a_rectification_leaves_black_is_masked(given: str, tmp_path: Path)
     ("what", "words"),
     [
         ("size of a file", "own.png"),
+        ("size of a file", "A mask is a grey image of the size of the recording's"),
         ("size of an array", "mask_left: has shape"),
         ("type of an array", "float64"),
         ("black", "all black"),

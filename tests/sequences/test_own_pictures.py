@@ -24,6 +24,7 @@ from sequences.recordings import (
     HEIGHT_PX,
     WIDTH_PX,
     image,
+    write_euroc,
     write_folder_sequence,
     write_image,
     write_lines,
@@ -334,3 +335,12 @@ def test_a_run_can_be_repeated_from_its_settings(tmp_path: Path, monkeypatch: An
     assert main(["run", "--config", "../first/config.yaml", "--out", "second"]) == 0
     first = (tmp_path / "first" / "trajectory.tum").read_bytes()
     assert first == (tmp_path / "elsewhere" / "second" / "trajectory.tum").read_bytes()
+
+
+def test_sixteen_bits_of_the_euroc_layout_are_scaled_as_those_of_a_folder(tmp_path: Path) -> None:
+    mav = write_euroc(tmp_path)
+    for file in mav.glob("cam*/data/*.png"):
+        pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(file), 2000 + 8 * pixels.astype(np.uint16))
+    for frame in open_sequence(mav):
+        np.testing.assert_allclose(frame.left, image(frame.index), atol=3)

@@ -221,10 +221,16 @@ def test_options_reach_the_reader_with_their_defaults(drone: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "fragments"),
     [
-        ({"colour": "red"}, ["option colour of the format drone", "no such", "camera, rate_hz"]),
-        ({"camera": "up"}, ["option camera of the format drone: is 'up'", "Stereo camera to read"]),
-        ({"rate_hz": 0.0}, ["option rate_hz", "is 0.0", "greater than 0", "Frames a second."]),
-        ({"rate_hz": float("nan")}, ["option rate_hz", "nan", "finite"]),
+        (
+            {"colour": "red"},
+            ["colour (--colour), for the format drone", "no such", "camera, rate_hz"],
+        ),
+        (
+            {"camera": "up"},
+            ["camera (--camera), for the format drone: is 'up'", "Stereo camera to read"],
+        ),
+        ({"rate_hz": 0.0}, ["rate_hz (--rate-hz)", "is 0.0", "greater than 0", "Frames a second."]),
+        ({"rate_hz": float("nan")}, ["rate_hz (--rate-hz)", "nan", "finite"]),
     ],
 )
 def test_faulty_options_are_named(
@@ -237,9 +243,7 @@ def test_faulty_options_are_named(
 
 
 def test_a_format_without_options_takes_none(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"option camera of the format kitti-odo(.|\n)*has no option"
-    ):
+    with pytest.raises(InputError, match=r"for the format kitti-odo(.|\n)*has no option"):
         open_sequence(write_kitti_odometry(tmp_path), camera="front")
 
 

@@ -1,5 +1,6 @@
 """YAML files: what is refused before it costs time or memory."""
 
+import re
 import time
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def test_a_switch_is_no_number(word: str, tmp_path: Path) -> None:
     path = write_folder_sequence(tmp_path)
     text = (path / "calib.yaml").read_text()
     (path / "calib.yaml").write_text(text.replace("baseline_m: 0.5", f"baseline_m: {word}"))
-    with pytest.raises(InputError, match=r"calib\.yaml: baseline_m: .*number"):
+    with pytest.raises(InputError, match=r"calib\.yaml: baseline_m.*number"):
         open_sequence(path)
 
 
@@ -67,3 +68,29 @@ def test_a_switch_is_no_number(word: str, tmp_path: Path) -> None:
 def test_a_setting_may_be_switched_on_and_off(word: str, expected: bool, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(f"imu: {word}\n")
     assert read_config(tmp_path / "config.yaml").imu is expected
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("baseline_m: 0,54", "baseline_m is '0,54'; write a plain number, with a decimal point"),
+        ("baseline_m: 0.54 m", "baseline_m is '0.54 m'; write a plain number"),
+        ("baseline: 0.54", r"baseline is not known \(did you mean baseline_m\?\)"),
+        ("", "baseline_m is missing"),
+    ],
+)
+def test_faults_of_a_calibration_are_named_in_plain_words(
+    line: str, what: str, tmp_path: Path
+) -> None:
+    path = write_folder_sequence(tmp_path)
+    text = (path / "calib.yaml").read_text()
+    (path / "calib.yaml").write_text(re.sub(r"(?m)^baseline_m:.*$", line, text))
+    with pytest.raises(InputError, match=what):
+        open_sequence(path)
+
+
+def test_an_empty_calibration_is_named_as_such(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path)
+    (path / "calib.yaml").write_text("")
+    with pytest.raises(InputError, match="this file is empty"):
+        open_sequence(path)

@@ -373,3 +373,22 @@ def test_features_fixed_to_the_vehicle_are_searched_where_they_are(frames: list[
     moved = tracker.track(replace(state, fixed_ids=fixed_ids), frames[1], se3.exp(STEP))
     assert len(moved.tracks_of_vehicle) < 0.1 * len(fixed_ids)
     assert np.isin(fixed_ids, moved.tracks_of_scene.ids).mean() > 0.5
+
+
+@pytest.mark.parametrize("window_px", [11, 31])
+def test_windows_that_a_pan_moves_over_the_border_have_left_the_view(
+    window_px: int, frames: list[Frame]
+) -> None:
+    """Not their looks have changed. With a large window, more of them leave the image."""
+    config = TrackingConfig(num_features=150, window_px=window_px)
+    tracker = ImageTracker(CAMERA, config)
+    first = tracker.track(TrackingState.none(), frames[0], np.eye(4))
+    panned = replace(
+        frames[1],
+        left=np.roll(frames[0].left, 6, axis=1),
+        right=np.roll(frames[0].right, 6, axis=1),
+    )
+    rejected = tracker.track(first.state, panned, np.eye(4)).tracks.rejected
+    at_border = first.state.pixels[:, 0] > WIDTH_PX - (window_px // 2 + 6 + 2)
+    assert rejected["left the view"] >= 0.8 * at_border.sum() > 0
+    assert rejected["no longer looks as at first sight"] <= 0.2 * rejected["left the view"] + 2

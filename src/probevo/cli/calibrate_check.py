@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
+from probevo.cli.info import print_reader_warnings
 from probevo.cli.text import table
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings
@@ -59,6 +60,7 @@ def main(words: list[str]) -> None:
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    print_reader_warnings(sequence)
     say_if_compiling()
     found = check_calibration(sequence, arguments.max_frames)
     print("\n".join(report_lines(sequence.path, found)), flush=True)
@@ -88,6 +90,7 @@ def report_lines(recording: Path, found: CalibrationCheck) -> list[str]:
         f"recording: {recording}, {found.num_frames} frames, {found.num_solved} solved",
         "",
         *table(("quantity", "value", "σ", "unit", "z"), cells).splitlines(),
+        "z: the distance from zero in σ, reduced where σ is itself uncertain.",
         "",
     ]
     lines += [f"! {quantity.name}: {quantity.cure}" for quantity in marked]

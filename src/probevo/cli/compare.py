@@ -39,7 +39,7 @@ class CompareArguments:
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="SEQUENCE…", help_behavior_hint=""),
     ]
-    """Folders of the recordings, or tracks files (.npz). How to open them holds for all."""
+    """Folders of the recordings, bags, or tracks files (.npz). How to open them holds for all."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results. Files of the same name are replaced; runs of earlier comparisons are
     kept."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from probevo.cli.arguments import checked, parse
+from probevo.cli.info import print_reader_warnings
 from probevo.cli.text import table
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings
@@ -64,6 +65,7 @@ def main(words: list[str]) -> None:
 
     noise = as_noise(arguments.noise)
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    print_reader_warnings(sequence)
     config = {"estimator": arguments.estimator, "any_camera": arguments.any_camera}
     with progress_bar(sequence.path.resolve().name, getting_ready()) as show:
         found = compare_halves(

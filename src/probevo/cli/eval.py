@@ -118,8 +118,10 @@ def read_trajectory(path: Path, pose_format: PoseFormat | None = None) -> Trajec
     from probevo.sequences.pose_files import read_kitti_poses, read_tum
     from probevo.sequences.text import read_lines
 
+    if path.is_dir():
+        raise InputError(path, "is a folder.", "Give a file of poses, such as that of a run.")
     if pose_format is None:
-        where, line = read_lines(path, "Give the --out folder of a run, or a file of poses.")[0]
+        where, line = read_lines(path, "Give a file of poses, in the KITTI or TUM format.")[0]
         if "," in line:
             what = "its numbers are separated by commas; the KITTI and TUM formats have blanks."
             cure = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from pathlib import Path
@@ -138,6 +140,17 @@ def describe(sequence: Sequence) -> Rows:
         config = RunConfig.model_validate({"window": {"imu": "off"}})
     rows.append(("use of IMU", imu_use_text(sequence, config)))
     return rows
+
+
+def print_reader_warnings(sequence: Sequence) -> None:
+    """Print what the reader could not use of a recording, such as its IMU, and what is unusual
+    about its camera and its rate, a line each."""
+    notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
+    found = [(name, text) for name, text in notes if name.startswith("!")]
+    found += camera_warnings(sequence.camera)
+    found += rate_warnings(sequence)
+    for name, text in found:
+        print(f"probevo: warning: {name[1:].strip()}: {text}", file=sys.stderr)
 
 
 def rate_warnings(sequence: Sequence) -> Rows:

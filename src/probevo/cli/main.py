@@ -42,8 +42,8 @@ and estimates the covariance of each step.
 
   probevo run SEQUENCE --out DIR
       estimate the trajectory of a recording, with covariances and a report
-  probevo train SEQUENCE… --out MODEL
-      learn a noise model from recordings
+  probevo train SEQUENCE… --kind student-t --supervision none --out MODEL
+      learn a noise model from recordings, here without ground truth
   probevo compare SEQUENCE… --noise MODEL… --out DIR
       run several estimators on several recordings and compare them
   probevo inspect SEQUENCE --model MODEL --out DIR

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
+from probevo.cli.info import print_reader_warnings
 from probevo.errors import InputError
 from probevo.output.run_files import MOTIONS, REPORT, TRAJECTORY_TUM, VIEWER_SUFFIX
 from probevo.run_config import CommonRunSettings, RunConfig, read_config
@@ -74,11 +75,12 @@ def main(words: list[str]) -> None:
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
-    for warning in reader_warnings(sequence):
-        print(f"probevo: warning: {warning}", file=sys.stderr)
+    print_reader_warnings(sequence)
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
     lines = summary(run, arguments.out, extra_outputs(settings))
     print("\n".join(lines), flush=True)
+    if settings.camera_height_m is not None and run.result.ground_height is None:
+        print("height above the ground: not known, so that --camera-height-m was not checked")
     for warning in run_warnings(run.result, run.truth).values():
         print(f"probevo: warning: {warning}", file=sys.stderr)
     if arguments.strict and status_warning(run.result.status):
@@ -103,18 +105,6 @@ def refuse_recording(out: Path) -> None:
                 f"{out} is a recording, by its format {known.name}.",
                 "Name another folder for the results.",
             )
-
-
-def reader_warnings(sequence: Sequence) -> list[str]:
-    """Return what the reader could not use of a recording, such as its IMU, and what is unusual
-    about its camera and its rate, a sentence each."""
-    from probevo.cli.info import camera_warnings, rate_warnings
-
-    notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
-    found = [(name, text) for name, text in notes if name.startswith("!")]
-    found += camera_warnings(sequence.camera)
-    found += rate_warnings(sequence)
-    return [f"{name[1:].strip()}: {text}" for name, text in found]
 
 
 def _defaults(words: list[str]) -> RunArguments:
@@ -207,6 +197,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     from probevo.output.run_facts import (
         delay_text,
         focal_text,
+        height_text,
         jitter_text,
         readout_text,
         unused_imu_text,
@@ -237,6 +228,8 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
         lines.append(readout_text(result.readout_s))
     if result.focal_length is not None and result.focal_length.is_noticeable:
         lines.append(f"focal length: {focal_text(result.focal_length)}")
+    if result.ground_height is not None:
+        lines.append(f"height above the ground: {height_text(result.ground_height)}")
     if result.out_of_domain is not None:
         lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
     lines += [f"{what}: {path}" for what, path in written]

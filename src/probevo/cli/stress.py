@@ -12,7 +12,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.cli.run import default_common_settings
 from probevo.errors import InputError
 from probevo.run_config import CommonRunSettings, run_config
-from probevo_sim.spoiling.config import StressConfig
+from probevo_sim.spoiling.config import CLEAN_START_FRAMES, StressConfig
 
 if TYPE_CHECKING:
     from probevo.run_config import RunConfig
@@ -64,11 +64,15 @@ def main(words: list[str]) -> None:
     sequence: Sequence = open_sequence(
         arguments.sequence, settings.format, **settings.format_options()
     )
-    if len(sequence) < 3:
-        what = f"has {len(sequence)} frames; two motions are the least to compare."
-        raise InputError(sequence.path, what, "Take a longer recording.")
     config = run_config(settings, sequence.path.resolve(), portable(arguments.noise))
     config = config.model_copy(update={"max_frames": config.max_frames or MAX_FRAMES})
+    num_frames = min(len(sequence), config.max_frames or MAX_FRAMES)
+    if num_frames <= CLEAN_START_FRAMES:
+        what = (
+            f"{num_frames} frames; the first {CLEAN_START_FRAMES} stay clean, so that nothing would"
+            " be spoiled."
+        )
+        raise InputError(sequence.path, what, "Take a longer recording, or more --max-frames.")
     if not config.imu:
         sequence = WithoutImu.of(sequence)
     check_run(sequence, config, noise_model(config.noise))

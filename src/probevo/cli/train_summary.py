@@ -23,7 +23,8 @@ def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
         model: the trained model; ``summary`` in the module of its kind describes it.
         out: its file.
     """
-    from probevo.noise.registry import imported, kind_of
+    from probevo.entry_points import imported
+    from probevo.noise.registry import kind_of
 
     module, _, _ = kind_of(model).inspection.partition(":")
     found: TrainingSummary = imported(f"{module}:summary")(model)

@@ -108,7 +108,7 @@ _OPTIONAL = {
     "num_used": _Optional((_STEPS,), np.asarray),
     "num_out_of_domain": _Optional((_STEPS,), np.asarray),
     "noise_factor": _Optional((_STEPS,), _factors),
-    "pose_cov": _Optional((_FRAMES, 6, 6), np.asarray),
+    "cov_cam_world": _Optional((_FRAMES, 6, 6), np.asarray),
     "smoothed_cov": _Optional((_FRAMES, 6, 6), np.asarray),
     "jitter_sigma_rad": _Optional((3,), np.asarray),
     "row_errors": _Optional((2,), lambda array: RowErrors(*array.tolist())),

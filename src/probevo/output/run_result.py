@@ -34,7 +34,7 @@ _RECORD = np.dtype(
     [
         ("stamp_ns", np.int64),
         ("T_world_cam", np.float64, (4, 4)),
-        ("pose_cov", np.float64, (6, 6)),
+        ("cov_cam_world", np.float64, (6, 6)),
         ("T_curr_prev", np.float64, (4, 4)),
         ("cov", np.float64, (6, 6)),
         ("common_mode", np.float64, (6, COMMON_MODE_COLUMNS)),
@@ -141,10 +141,10 @@ class RunResult:
     noise_factor: FloatArray | None = None
     """Factor of the noise model's variances in each step, [N-1] (``NoiseScale``); None in files of
     versions that did not store it."""
-    pose_cov: FloatArray | None = None
+    cov_cam_world: FloatArray | None = None
     """Covariance of the left perturbation of T_cam_world of each frame, [N, 6, 6], m and rad, where
-    sensors have corrected the poses (``MotionEstimate.pose_cov``); None without sensors, and in
-    files of versions that did not store it."""
+    sensors have corrected the poses (``MotionEstimate.cov_cam_world``); None without sensors, and
+    in files of versions that did not store it."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
@@ -239,8 +239,8 @@ class RunResult:
         Returns:
             Covariance of the left perturbation of T_cam_world, [N − origin, 6, 6]; 0 at the first.
         """
-        if self.pose_cov is not None and origin == 0:
-            return self.pose_cov
+        if self.cov_cam_world is not None and origin == 0:
+            return self.cov_cam_world
         cross_cov = self.path_cross_cov[origin:]
         # What was read from a file has the smoothed covariances, but not the smoothed poses.
         is_smoothed = self.smoothed is not None or self.smoothed_cov is not None
@@ -396,7 +396,7 @@ class RunRecorder:
         record = np.zeros((), _RECORD)
         record["stamp_ns"] = stamp_ns
         record["T_world_cam"] = motion.T_world_cam
-        record["pose_cov"] = motion.pose_cov
+        record["cov_cam_world"] = motion.cov_cam_world
         record["T_curr_prev"] = motion.T_curr_prev
         record["cov"] = motion.cov
         record["common_mode"] = motion.common_mode
@@ -424,10 +424,10 @@ class RunRecorder:
         T_curr_prev = motions["T_curr_prev"].copy()
         # The path is that of the motions, unless sensors have corrected the poses.
         T_world_cam = se3.chain_motions(T_curr_prev)[:num_frames]
-        pose_cov = None
+        cov_cam_world = None
         if self._sensors:
             T_world_cam = frames["T_world_cam"].copy()
-            pose_cov = frames["pose_cov"].copy()
+            cov_cam_world = frames["cov_cam_world"].copy()
         outside = motions["num_out_of_domain"]
         left_out = self._imu.left_out
         return RunResult(
@@ -437,7 +437,7 @@ class RunRecorder:
             cov=motions["cov"].copy(),
             common_mode=motions["common_mode"].copy(),
             path_cross_cov=motions["path_cross_cov"].copy(),
-            pose_cov=pose_cov,
+            cov_cam_world=cov_cam_world,
             status=motions["status"].copy(),
             num_tracks=motions["num_tracks"].copy(),
             num_inliers=motions["num_inliers"].copy(),

@@ -236,8 +236,10 @@ def focal_warning(error: FocalLengthError | None) -> str | None:
     longer = "longer" if error.percent > 0.0 else "shorter"
     return (
         f"Where the camera turns, images show a focal length that is {abs(error.percent):.1f} ±"
-        f" {100.0 * error.sigma:.1f} % {longer} than calibrated. Distances and turns are wrong by"
-        " about as much. Are the intrinsics those of the rectified images, at their resolution?"
+        f" {100.0 * error.sigma:.1f} % {longer} than calibrated, more than a lens distortion that"
+        " was not removed usually explains. If it is the focal length, distances and turns are"
+        " wrong by about as much. Are the intrinsics those of the rectified images, at their"
+        " resolution?"
     )
 
 

@@ -27,8 +27,8 @@ def alignment(tracks: Tracks) -> FloatArray:
 
     Returns:
         ln(0.01 + σ/px) in u and v of the left image, their correlation, and ln(0.01 + σ/px) in u of
-        the right image, [N, 4]. NaN where a tracks file gives the features; the predictor is
-        refused there.
+        the right image, [N, 4]. NaN where another front end gives the features; the predictor
+        is refused there.
     """
     cov_px2 = tracks.alignment_cov_px2
     if cov_px2 is None:
@@ -55,6 +55,6 @@ ALIGNMENT = Predictor(
         "alignment_right": "ln(0.01 + px)",
     },
     source="ours; Nickels & Hutchinson 2002",
-    needs=Needs.LEFT,
+    needs=Needs.LEFT | Needs.ALIGNMENT,
     compute=lambda step: alignment(step.tracks),
 )

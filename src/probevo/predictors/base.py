@@ -33,6 +33,8 @@ class Needs(Flag):
     """The current right image."""
     PREVIOUS_RIGHT = auto()
     """The right image of the previous frame."""
+    ALIGNMENT = auto()
+    """How each window was aligned with its anchor patch; features of another front end were not."""
     IMAGES = LEFT | PREVIOUS_LEFT | RIGHT | PREVIOUS_RIGHT
     """Any image: ``predictor.needs & Needs.IMAGES`` is true if the predictor needs at least one."""
 

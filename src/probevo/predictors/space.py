@@ -13,6 +13,16 @@ from probevo.errors import InputError
 from probevo.predictors.base import Needs, Predictor, Step
 from probevo.sequences.base import Sequence
 
+NAMES = {
+    Needs.LEFT: "images",
+    Needs.RIGHT: "images",
+    Needs.PREVIOUS_LEFT: "images",
+    Needs.PREVIOUS_RIGHT: "images",
+    Needs.ALIGNMENT: "features of our own front end",
+    Needs.ACCELEROMETER: "accelerometer",
+}
+"""What a recording or a frame lacks, for the message."""
+
 
 @dataclass(frozen=True)
 class PredictionSpace:
@@ -84,6 +94,7 @@ class PredictionSpace:
             Needs.RIGHT: lacks_images,
             Needs.PREVIOUS_LEFT: lacks_images,
             Needs.PREVIOUS_RIGHT: lacks_images,
+            Needs.ALIGNMENT: lacks_images,
             Needs.ACCELEROMETER: sequence.imu is None,
         }
         self._refuse_lacking(lacking, sequence.path)
@@ -97,6 +108,7 @@ class PredictionSpace:
             Needs.RIGHT: step.curr_frame.right is None,
             Needs.PREVIOUS_LEFT: step.prev_frame.left is None,
             Needs.PREVIOUS_RIGHT: step.prev_frame.right is None,
+            Needs.ALIGNMENT: step.curr_frame.features is not None,
             Needs.ACCELEROMETER: len(has_force) > 0 and not bool(has_force.any()),
         }
         self._refuse_lacking(lacking, f"frame {step.curr_frame.index}")
@@ -105,10 +117,9 @@ class PredictionSpace:
         for predictor in self.predictors:
             for need, is_lacking in lacking.items():
                 if is_lacking and need in predictor.needs:
-                    thing = "accelerometer" if need is Needs.ACCELEROMETER else "images"
                     raise InputError(
                         where,
-                        f"it has no {thing}, which the predictor {predictor.name} needs.",
+                        f"it has no {NAMES[need]}, which the predictor {predictor.name} needs.",
                         "Train a model without it: name others with `train --predictors`.",
                     )
 

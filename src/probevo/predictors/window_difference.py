@@ -20,7 +20,7 @@ def window_difference(tracks: Tracks) -> FloatArray:
 
     Returns:
         Differences in the left image (time) and in the right image (stereo), [N, 2], ln(1 + grey
-        levels). NaN where a tracks file gives the features; the predictor is refused there.
+        levels). NaN where another front end gives the features; the predictor is refused there.
     """
     if tracks.difference is None:
         return np.full((len(tracks), 2), np.nan)
@@ -34,6 +34,6 @@ WINDOW_DIFFERENCE = Predictor(
         "difference_in_stereo": "ln(1 + grey levels)",
     },
     source="ours",
-    needs=Needs.LEFT,
+    needs=Needs.LEFT | Needs.ALIGNMENT,
     compute=lambda step: window_difference(step.tracks),
 )

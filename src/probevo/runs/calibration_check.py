@@ -197,7 +197,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         raise InputError(sequence.path, what, "Give a longer recording of the same rig.")
     if len(rows) < MIN_FRAMES - 2:
         what = f"only {len(steps)} of its first {len(motions)} frames have a motion that is solved."
-        cure = "`probevo info` says whether the images are rectified, sharp and textured."
+        cure = "Are the images rectified, sharp and textured, and is baseline_m in metres?"
         raise InputError(sequence.path, what, cure)
     return _Seen(
         rows=rows,

@@ -143,7 +143,8 @@ def compare_halves(
         raise InputError(
             sequence.path,
             what,
-            f"Give a longer recording: the first {WARM_UP} frames do not count.",
+            f"Take more frames, as the first {WARM_UP} do not count, and heed the warnings of"
+            " `probevo info`.",
         )
     agreements = (Agreement(frames, np.array(found)) for frames, found in squared.items() if found)
     return HalvesCompared(total, num_solved, tuple(agreements))

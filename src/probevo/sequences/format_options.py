@@ -25,6 +25,12 @@ KITTI_FLOW_RATE_HZ = 10.0
 """Of the scenes of KITTI 2012 and 2015, which have no times; KITTI's cameras run at about this."""
 
 
+LEAST_RATE_HZ = 0.001
+MOST_RATE_HZ = 100_000.0
+"""Beyond these, times in whole nanoseconds would not fit in 64 bits, or not ascend."""
+RATES = "0.001 to 100,000"
+
+
 class RosbagOptions(Settings):
     """The options of the format rosbag."""
 
@@ -67,7 +73,10 @@ class FolderOptions(Settings):
         None, description="Name the frame of the true poses: camera or imu."
     )
     rate_hz: float | None = Field(
-        None, gt=0.0, description="Frames a second of a folder without any times: positive."
+        None,
+        ge=LEAST_RATE_HZ,
+        le=MOST_RATE_HZ,
+        description=f"Frames a second of a folder without any times: {RATES}.",
     )
     pair_tolerance_ms: float = Field(
         PAIR_TOLERANCE_MS,
@@ -101,13 +110,17 @@ class VideoOptions(Settings):
     resized: bool = Field(
         False, description="The images have been scaled since they were calibrated."
     )
-    rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")
+    rate_hz: float | None = Field(
+        None, ge=LEAST_RATE_HZ, le=MOST_RATE_HZ, description=f"Frames a second: {RATES}."
+    )
 
 
 class RateOptions(Settings):
     """The options of formats whose files have no times."""
 
-    rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")
+    rate_hz: float | None = Field(
+        None, ge=LEAST_RATE_HZ, le=MOST_RATE_HZ, description=f"Frames a second: {RATES}."
+    )
 
 
 class KittiFlowOptions(RateOptions):

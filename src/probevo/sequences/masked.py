@@ -63,7 +63,7 @@ class MaskOfEachFrame:
         Raises:
             InputError: also if it is of 0 and 1 instead of black and white.
         """
-        mask = read_gray(self.files[index], self.size_px)
+        mask = _read(self.files[index], self.size_px)
         if is_too_dark(mask):
             what = f"this mask is nowhere brighter than {mask.max()}, and leaves no feature."
             raise InputError(
@@ -190,7 +190,7 @@ def _masks(given: Path | str | AnyArray, sequence: Sequence, *, is_right: bool) 
         masks = MaskOfEachFrame(_files(Path(given), sequence, is_right=is_right), size_px or (0, 0))
     else:
         path = Path(given)
-        masks = SameMask(_not_black(_black_and_white(read_gray(path, size_px)), path))
+        masks = SameMask(_not_black(_black_and_white(_read(path, size_px)), path))
     if isinstance(sequence, ImageRecording) and sequence.rectification is not None:
         masks = RectifiedMasks(masks, sequence.rectification, is_right)
         if isinstance(masks.raw, SameMask):
@@ -246,3 +246,15 @@ def _both(one: Image | BoolArray | None, other: Image | None) -> Image | BoolArr
 
 def _of(masks: Masks | None, index: int) -> Image | None:
     return None if masks is None else masks.of_frame(index)
+
+
+def _read(file: Path, size_px: tuple[int, int] | None) -> Image:
+    """Read a mask.
+
+    Raises:
+        InputError: the file is missing or damaged, or of another size than the images.
+    """
+    try:
+        return read_gray(file, size_px)
+    except InputError as error:
+        raise InputError(error.where, error.what, CURE) from error

@@ -12,7 +12,7 @@ from probevo.errors import InputError, brief
 from probevo.storage.files import check_regular
 
 INT64_LIMIT = 2**63
-"""Values of an IMU sample: angular rate and specific force."""
+"""Whole numbers from minus this up to below it fit in 64 bits."""
 MAX_TEXT_BYTES = 1_000_000_000
 """Ten hours of an IMU at 200 Hz take 0.7 GB."""
 

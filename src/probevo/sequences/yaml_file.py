@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic_core import ErrorDetails
 
 from probevo.errors import InputError, brief
 from probevo.sequences.text import read_text
@@ -23,6 +25,8 @@ MAX_CONTENT = 100_000
 one in the other, would be 387 million."""
 MAX_FAULTS = 8
 """Wrong keys that a message names."""
+MIN_LIKENESS = 0.6
+"""Likeness from which an unknown key is taken for a misspelt one, 0 to 1."""
 
 
 class CalibrationModel(BaseModel):
@@ -56,16 +60,44 @@ def validated(content: object, model: type[Model], path: Path, cure: str = "") -
     Raises:
         InputError: the content is not what the model allows; names all keys at fault.
     """
+    if content is None:
+        raise InputError(path, "this file is empty.", cure)
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        faults = [
-            f"{brief('.'.join(map(str, fault['loc'])) or 'content')[1:-1]}: {fault['msg']}"
-            for fault in error.errors()
-        ]
-        if len(faults) > MAX_FAULTS:
-            faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
-        raise InputError(path, "; ".join(faults) + ".", cure) from error
+        faults = error.errors()
+        missing = [_key_of(fault) for fault in faults if fault["type"] == "missing"]
+        texts = [_fault_text(fault, missing) for fault in faults]
+        if len(texts) > MAX_FAULTS:
+            texts[MAX_FAULTS:] = [f"and {len(texts) - MAX_FAULTS} more"]
+        raise InputError(path, "; ".join(texts) + ".", cure) from error
+
+
+def _key_of(fault: ErrorDetails) -> str:
+    """Return the key at fault, as section.key, shortened where it is long."""
+    return brief(".".join(map(str, fault["loc"])) or "content")[1:-1]
+
+
+def _fault_text(fault: ErrorDetails, missing: list[str]) -> str:
+    """Return one fault in words.
+
+    Args:
+        fault: pydantic's finding.
+        missing: the keys that are missing, of which an unknown one may be a misspelling.
+    """
+    key = _key_of(fault)
+    if fault["type"] == "missing":
+        return f"{key} is missing"
+    if fault["type"] == "extra_forbidden":
+        near = get_close_matches(key, missing, n=1, cutoff=MIN_LIKENESS)
+        return f"{key} is not known" + (f" (did you mean {near[0]}?)" if near else "")
+    if fault["type"] == "value_error":  # a check of ours, which names the value
+        return f"{key}: {fault['msg'].removeprefix('Value error, ')}"
+    value = brief(fault["input"])
+    if fault["type"] in ("float_parsing", "int_parsing"):
+        hint = ", with a decimal point instead of the comma" if "," in value else ""
+        return f"{key} is {value}; write a plain number{hint}"
+    return f"{key} is {value}; {fault['msg'].replace('Input should', 'it should')}"
 
 
 def load_yaml(path: Path, cure: str = "", *, loader: type[yaml.SafeLoader] | None = None) -> Any:

@@ -24,8 +24,9 @@ from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import MASKED, NEGATIVE_DISPARITY, NO_MATCH, OTHER_ROW, Tracks
 from probevo.tracking.uniqueness_numba import find_along_row, find_unique
 
-BORDER_PX = 5.0
-"""Nearer to the border, too much of the window lies outside of the image."""
+AROUND_ALIGNED_PX = 2.5
+"""How far a window that is aligned has to stay inside of the image: the spline needs its
+neighbours, and the window may be stretched."""
 MAX_DISPARITY = 0.25
 """Largest disparity at which a new corner is searched, in widths of the image.
 
@@ -113,6 +114,8 @@ class ImageTracker:
     def __init__(self, camera: StereoCamera, config: TrackingConfig) -> None:
         self._camera = camera
         self._config = config
+        # Nearer to the border, a part of the window lies outside of the image.
+        self._border_px = config.window_px // 2
 
     def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
         """Find the features of the previous frame in this one, and new ones where there is room.
@@ -225,7 +228,7 @@ class ImageTracker:
             motion = motion.where(~is_fixed, stay)
         # ``alive`` are the rows of the features that have passed all checks so far, in ``prev``,
         # ``patches`` and ``motion``.
-        alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
+        alive = np.flatnonzero(motion.ahead & _inside(motion.pixels, image, self._border_px))
         rejected[LEFT_THE_VIEW] += len(prev) - len(alive)
         # Lucas–Kanade from the previous image, which looks most alike. Its errors add up along the
         # track; the alignment below removes them.
@@ -236,7 +239,7 @@ class ImageTracker:
             start_px=motion.pixels[alive],
             config=self._config,
         )
-        inside = _inside(tracked.pixels, image)
+        inside = _inside(tracked.pixels, image, self._border_px)
         rejected[LEFT_THE_VIEW] += int((~inside).sum())
         if images.left_usable is not None:
             unmasked = _unmasked(tracked.pixels, images.left_usable)
@@ -252,7 +255,10 @@ class ImageTracker:
             images.left_spline, tracked.pixels[alike], motion.subset(alive)
         )
         fits = np.isfinite(aligned.difference)
-        rejected[NO_FIT] += int((~fits).sum())
+        border_px = self._border_px + AROUND_ALIGNED_PX
+        is_whole = _inside(tracked.pixels[alike], image, border_px)
+        rejected[NO_FIT] += int((~fits & is_whole).sum())
+        rejected[LEFT_THE_VIEW] += int((~fits & ~is_whole).sum())
         # Of two features that have converged on one point, keep the older one, which comes first.
         # Both would count as independent, although their errors are the same.
         kept = np.flatnonzero(fits)
@@ -493,9 +499,9 @@ def _unmasked(pixels: FloatArray, usable: BoolArray) -> BoolArray:
     return unmasked
 
 
-def _inside(pixels: FloatArray, image: Image) -> BoolArray:
+def _inside(pixels: FloatArray, image: Image, border_px: float) -> BoolArray:
     """Return which (u, v), [N, 2], lie inside the image, off its border."""
     height, width = image.shape
-    far_corner = np.array([width, height]) - BORDER_PX
-    inside: BoolArray = np.all((pixels >= BORDER_PX) & (pixels < far_corner), axis=1)
+    far_corner = np.array([width, height]) - border_px
+    inside: BoolArray = np.all((pixels >= border_px) & (pixels < far_corner), axis=1)
     return inside

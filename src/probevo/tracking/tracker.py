@@ -119,7 +119,12 @@ class Tracked:
     @staticmethod
     def nothing(state: TrackingState) -> Tracked:
         """Return the result of having lost all features of that state."""
-        return Tracked(Tracks.none(), TrackingState.none(state.next_id))
+        emptied = replace(
+            TrackingState.none(state.next_id),
+            num_matched_steps=state.num_matched_steps,
+            is_given=state.is_given,
+        )
+        return Tracked(Tracks.none(), emptied)
 
 
 class Tracker(Protocol):

@@ -68,7 +68,7 @@ def test_a_precise_sensor_counts_where_dead_reckoning_is_far_off() -> None:
         estimate = odometry.step(blind_frame(FIRST + number - 1))
         attitude = attitude @ turn.T
         error = np.linalg.norm(so3.log(estimate.T_world_cam[:3, :3] @ attitude.T))
-        claimed = np.sqrt(np.linalg.eigvalsh(estimate.pose_cov[3:, 3:])[-1])
+        claimed = np.sqrt(np.linalg.eigvalsh(estimate.cov_cam_world[3:, 3:])[-1])
         assert error < claimed
         assert estimate.sensors[0].weight == 1.0
         # That of the pose before, and one of the sensor for each step.
@@ -108,7 +108,7 @@ def test_an_imu_that_does_not_measure_makes_no_blackout_more_certain(imu: str) -
                 samples = None if imu == "silent in the dark" else samples
                 frame = blind_frame(frame.index)
             estimate = odometry.step(replace(frame, imu=samples if calibration else None))
-        sigmas.append(np.sqrt(estimate.pose_cov[2, 2]))
+        sigmas.append(np.sqrt(estimate.cov_cam_world[2, 2]))
     without, beside = sigmas
     assert beside == pytest.approx(without, rel=0.02)
 
@@ -127,7 +127,7 @@ def test_steps_after_a_long_blackout_claim_what_the_images_show() -> None:
         estimate = odometry.step(frame)
         if frame.index > FIRST + num_dark + 10:
             assert estimate.status is Status.OK
-            assert np.sqrt(estimate.pose_cov[2, 2]) > 1.0
+            assert np.sqrt(estimate.cov_cam_world[2, 2]) > 1.0
             assert np.sqrt(estimate.cov[:3, :3].diagonal().max()) < 0.03
             error = motion_error(estimate.T_curr_prev)
             squared.append(error @ np.linalg.solve(estimate.cov, error) / 6.0)
@@ -156,7 +156,7 @@ def test_what_is_not_known_of_the_place_stays_unknown_among_near_points() -> Non
     sigmas = []
     for frame in darkened(frames, num_dark):
         estimate = odometry.step(frame)
-        sigmas.append(np.sqrt(estimate.pose_cov[:3, :3].diagonal().min()))
+        sigmas.append(np.sqrt(estimate.cov_cam_world[:3, :3].diagonal().min()))
     at_dawn = sigmas[FIRST + num_dark]
     assert at_dawn > 1.0
     assert sigmas[-1] > 0.8 * at_dawn

@@ -296,7 +296,7 @@ def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
             last = by.step(frame)
             alone = without.step(replace(frame, imu=None))
         error = se3.log(se3.inverse(last.T_world_cam) @ truth[-1])
-        squared.append(error @ np.linalg.solve(last.pose_cov, error))
+        squared.append(error @ np.linalg.solve(last.cov_cam_world, error))
         errors.append(np.linalg.norm(error[:3]))
         errors_without.append(np.linalg.norm((se3.inverse(truth[-1]) @ alone.T_world_cam)[:3, 3]))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
@@ -319,7 +319,7 @@ def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
             steps.append(float(np.sqrt(np.trace(cov[:3, :3]))))
     dark = estimates[18:30]
     assert all(estimate.status is not Status.OK for estimate in dark)
-    sigma = [np.sqrt(np.trace(estimate.pose_cov[:3, :3])) for estimate in estimates]
+    sigma = [np.sqrt(np.trace(estimate.cov_cam_world[:3, :3])) for estimate in estimates]
     assert (np.diff(sigma[17:30]) > 0.0).all()
     start = truth[17] @ se3.inverse(estimates[17].T_world_cam)
     aligned = start @ dark[-1].T_world_cam
@@ -327,7 +327,7 @@ def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
     length_m = np.linalg.norm(truth[29, :3, 3] - truth[17, :3, 3])
     error = se3.log(se3.inverse(dark[-1].T_world_cam) @ truth[29])
     assert error_m < 0.01 * length_m
-    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(dark[-1].pose_cov))).all()
+    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(dark[-1].cov_cam_world))).all()
     assert steps[29 - 4] > 2.0 * steps[17 - 4]
     assert steps[-1] < 1.2 * steps[17 - 4]
 
@@ -349,7 +349,7 @@ def test_a_factor_beyond_the_gate_leaves_the_velocity_known() -> None:
     _, cov = by.relative(len(frames) - 1, last_bright)
     assert np.sqrt(np.trace(cov[:3, :3])) < 0.2
     error = se3.log(se3.inverse(estimates[-1].T_world_cam) @ truth[-1])
-    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(estimates[-1].pose_cov))).all()
+    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(estimates[-1].cov_cam_world))).all()
 
 
 def test_an_imu_at_rest_starts() -> None:
@@ -380,8 +380,8 @@ def test_biases_that_do_not_walk_are_as_those_that_hardly_walk() -> None:
         for frame in frames:
             estimate = by.step(frame)
         assert by.window is not None
-        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
-        squared = error @ np.linalg.solve(estimate.pose_cov, error)
+        error = se3.log(estimate.T_cam_world @ truth[-1])
+        squared = error @ np.linalg.solve(estimate.cov_cam_world, error)
         sigmas = np.sqrt(np.diag(states_of(by.window).cov)[-6:])
         found.append(np.append(sigmas, squared))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
@@ -397,8 +397,8 @@ def test_a_short_window_tests_its_imu_on_all_of_its_frames(frames: int) -> None:
         for frame in seen:
             estimate = by.step(frame)
             assert Inertial.of(by.window).is_used == (frame.index >= frames)
-        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
-        squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
+        error = se3.log(estimate.T_cam_world @ truth[-1])
+        squared.append(error @ np.linalg.solve(estimate.cov_cam_world, error))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
 
 
@@ -428,8 +428,8 @@ def test_an_imu_whose_samples_have_holes_in_each_window_starts() -> None:
                 changed = with_samples_at(frame, ~in_hole)
             estimate = by.step(changed)
         assert Inertial.of(by.window).is_used
-        error = se3.log(se3.inverse(estimate.T_world_cam) @ truth[-1])
-        squared.append(error @ np.linalg.solve(estimate.pose_cov, error))
+        error = se3.log(estimate.T_cam_world @ truth[-1])
+        squared.append(error @ np.linalg.solve(estimate.cov_cam_world, error))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
 
 
@@ -493,7 +493,7 @@ def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
         estimate = by.step(frame)
         expected = without.step(replace(frame, imu=None))
         if frame.index >= 41:
-            np.testing.assert_allclose(estimate.pose_cov, expected.pose_cov, rtol=1e-6)
+            np.testing.assert_allclose(estimate.cov_cam_world, expected.cov_cam_world, rtol=1e-6)
         if frame.index == 43:
             assert estimate.status is Status.RECOVERED
     assert by.window is not None
@@ -544,8 +544,8 @@ def test_behind_samples_that_are_never_preintegrated_landmarks_are_found_again(
         if frame.index == dark.stop:
             assert estimate.status is Status.RECOVERED
             assert expected.status is Status.RECOVERED
-        sigma_m = np.sqrt(estimate.pose_cov[:3, :3].trace())
-        assert sigma_m == pytest.approx(np.sqrt(expected.pose_cov[:3, :3].trace()), rel=0.1)
+        sigma_m = np.sqrt(estimate.cov_cam_world[:3, :3].trace())
+        assert sigma_m == pytest.approx(np.sqrt(expected.cov_cam_world[:3, :3].trace()), rel=0.1)
     np.testing.assert_allclose(estimate.T_world_cam, expected.T_world_cam, atol=2e-3)
 
 
@@ -678,7 +678,7 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
         motion = se3.inverse(truth[k]) @ truth[k - 1]
         error = se3.log(estimates[k].T_curr_prev @ se3.inverse(motion))
         assert error @ np.linalg.solve(estimates[k].cov, error) < 30.0
-    sigma_m = np.sqrt(np.trace(estimates[-1].pose_cov[:3, :3]))
+    sigma_m = np.sqrt(np.trace(estimates[-1].cov_cam_world[:3, :3]))
     off = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
     assert np.linalg.norm(off[:3, 3]) < 3.0 * sigma_m
 
@@ -695,7 +695,7 @@ def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known
     for estimate in estimates[13:18]:
         assert "velocity" in estimate.imu_left_out
         assert np.sqrt(estimate.cov[:3, :3].trace()) < 5.0
-    assert np.sqrt(estimates[18].pose_cov[:3, :3].trace()) < 10.0
+    assert np.sqrt(estimates[18].cov_cam_world[:3, :3].trace()) < 10.0
     assert not estimates[-1].imu_left_out
     assert estimates[-1].status is Status.OK
 
@@ -757,6 +757,6 @@ def test_a_spike_of_one_sample_is_left_out(size_rad_s: float) -> None:
         np.linalg.norm((se3.inverse(truth[-1]) @ estimates[-1].T_world_cam)[:3, 3])
         for estimates in results
     ]
-    sigma_m = float(np.sqrt(np.trace(results[0][-1].pose_cov[:3, :3])))
+    sigma_m = float(np.sqrt(np.trace(results[0][-1].cov_cam_world[:3, :3])))
     assert error_m[1] < max(1.1 * error_m[0], error_m[0] + 0.2 * sigma_m)
     assert [each.defect for each in results[1][13].missing] == [Defect.RATE_IS_SPIKE]

@@ -71,11 +71,11 @@ def test_the_rotation_of_far_features_counts_and_the_claim_holds() -> None:
                 )
         of_pose.append(
             normalized_error_squared(
-                se3.inverse(T_world_cam), se3.inverse(motion.T_world_cam), motion.pose_cov
+                se3.inverse(T_world_cam), motion.T_cam_world, motion.cov_cam_world
             )
         )
         # Dead reckoning alone leaves 0.02 rad for each step.
-        assert np.sqrt(np.diagonal(motion.pose_cov)[3:]).max() < 0.002
+        assert np.sqrt(np.diagonal(motion.cov_cam_world)[3:]).max() < 0.002
     assert num_weak > 12
     _, high = chi2_interval(6, len(of_pose))
     assert np.mean(of_pose) < high

@@ -103,7 +103,7 @@ def residuals_of(
     count = len(window)
     poses = np.concatenate([np.zeros(POSE), x[: POSE * (count - 1)]]).reshape(-1, POSE)
     T_cam_world = se3.exp(poses) @ window.T_cam_world
-    rig = window.rig + x[POSE * (count - 1) : POSE * (count - 1) + RIG]
+    rig = window.rig_errors + x[POSE * (count - 1) : POSE * (count - 1) + RIG]
     state = window.landmarks.state + x[POSE * (count - 1) + RIG :].reshape(-1, 4)
     observations = window.observations
     rows = window.landmark_rows
@@ -183,7 +183,7 @@ def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> 
     # That β(x), r², and what a jitter does, move with the pose is ignored.
     window = replace(
         window,
-        rig=np.zeros(RIG),
+        rig_errors=np.zeros(RIG),
         jitter=np.zeros((5, JITTER)),
         jitter_cov=JITTER_SIGMA_RAD**2 * np.diag([0.25, 1.0, 0.5]),
     )
@@ -477,7 +477,7 @@ def test_the_errors_of_the_rig_are_found_within_their_sigma() -> None:
     seen = [_with_flaws(frame, true_px, true_kappa) for frame in frames]
     window = windows_of(seen, estimator(frames=8, calibrates=True))[-1]
     sigma = np.sqrt(np.diag(window.cov)[-RIG:])
-    assert (np.abs(window.rig - np.append(true_px, true_kappa)) < 3.0 * sigma).all()
+    assert (np.abs(window.rig_errors - np.append(true_px, true_kappa)) < 3.0 * sigma).all()
     assert (sigma[:LENS] < 0.3).all()
     assert sigma[LENS] < 0.005
 
@@ -493,7 +493,7 @@ def test_noise_feigns_no_errors_of_the_rig() -> None:
             windows_of(
                 drive(np.random.default_rng([63, seed]), 20, points=150, sigma_px=SIGMA_PX),
                 estimator(frames=8, calibrates=True),
-            )[-1].rig
+            )[-1].rig_errors
             for seed in range(12)
         ]
     )

@@ -172,7 +172,9 @@ def test_the_iteration_that_was_kept_is_named_and_marked() -> None:
     training["time_correlation_gain"] = 0.01
     assert "change the likelihood by +0.010 nats a feature, too little" in kept_text(training)
     training["kept_iteration"] = 3  # that of the last fit, which was not evaluated any more
-    assert kept_text(training).startswith("the model after 3 iterations, the last; time-correlated")
+    assert kept_text(training).startswith(
+        "the model after 3 iterations, the last, which is not evaluated any more; time-correlated"
+    )
 
 
 def test_a_scale_matrix_is_shown_as_sigma_and_correlations() -> None:

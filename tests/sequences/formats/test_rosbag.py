@@ -392,7 +392,7 @@ def test_the_command_line_names_topics(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_an_option_of_another_format_is_refused(tmp_path: Path) -> None:
     folder = write_folder_sequence(tmp_path)
-    with pytest.raises(InputError, match="topics_left of the format folder"):
+    with pytest.raises(InputError, match=r"topics_left .*for the format folder"):
         open_sequence(folder, topics_left="/left")
 
 

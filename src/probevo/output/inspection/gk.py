@@ -147,7 +147,7 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
         f"{float(model.prior_.dof[0]):.3g} of the prior, which counts as much as"
         f" {shape.prior_counts:g} measured errors"
     )
-    facts["correlated"] = f"in time: {time_correlation_text(model.time_correlation_ratio)}"
+    facts["correlated"] = f"in time: {time_correlation_text(model.time_correlation_ratio_)}"
     facts["rig"] = learned_jitter_text(model.jitter_cov)
     gain = gained(searches)
     if gain is not None:
@@ -254,7 +254,7 @@ def _facts(view: CentersView) -> dict[str, str]:
         facts["K"] = f"{shape.neighbors:,}"
     facts["ρ"] = f"{readable(shape.reach)} standard deviations"
     facts["Centers"] = f"{len(view.points):,}"
-    facts["Time-correlated error"] = time_correlation_text(model.time_correlation_ratio)
+    facts["Time-correlated error"] = time_correlation_text(model.time_correlation_ratio_)
     facts["Rig"] = learned_jitter_text(model.jitter_cov)
     facts["ν of the prior"] = readable(float(model.prior_.dof[0]))
     facts["Noise of"] = noise_of_text(model.refers_to)

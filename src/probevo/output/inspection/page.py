@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from probevo.entry_points import imported
 from probevo.errors import InputError
-from probevo.noise.registry import imported, kind_of
+from probevo.noise.registry import kind_of
 from probevo.output.inspection import predictors
 from probevo.output.inspection.common_sections import frame_facts
 from probevo.output.inspection.subject import Findings, Subject

@@ -54,7 +54,7 @@ def sections(subject: Subject) -> Findings:
     facts = {
         "Trained on": origin(training) or "not known",
         "ν": readable(model.dof_),
-        "Time-correlated error": time_correlation_text(model.time_correlation_ratio),
+        "Time-correlated error": time_correlation_text(model.time_correlation_ratio_),
         "Rig": learned_jitter_text(model.jitter_cov),
         "Noise of": noise_of_text(model.refers_to),
     }
@@ -83,7 +83,7 @@ def summary(model: StudentT) -> TrainingSummary:
     facts = {
         "trained on": origin(training),
         "ν": f"{model.dof_:.3g}",
-        "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
+        "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio_)}",
         "rig": learned_jitter_text(model.jitter_cov),
     }
     sizes = sizes_text(training)

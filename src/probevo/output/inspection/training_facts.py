@@ -71,16 +71,18 @@ def kept_text(training: Mapping[str, Any]) -> str:
     kept = training.get("kept_iteration")
     if kept is None:
         return ""
+    is_evaluated = kept < len(training.get("iterations", []))
+    last = "the last" if is_evaluated else "the last, which is not evaluated any more"
     gain = training.get("time_correlation_gain")
     if gain is None:
-        return f"the model after {kept} iterations, the last"
-    if kept < len(training.get("iterations", [])):
+        return f"the model after {kept} iterations, {last}"
+    if is_evaluated:
         return (
             f"the model after {kept} iterations; more, with time-correlated errors, change the"
             f" likelihood by {signed(gain)} nats a feature, too little to accept these"
         )
     return (
-        f"the model after {kept} iterations, the last; time-correlated errors change the likelihood"
+        f"the model after {kept} iterations, {last}; time-correlated errors change the likelihood"
         f" by {signed(gain)} nats a feature"
     )
 

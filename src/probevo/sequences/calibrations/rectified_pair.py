@@ -20,7 +20,7 @@ MAX_OFFSET = 1e-3
 
 
 @dataclass(frozen=True)
-class Intrinsics:
+class PinholeIntrinsics:
     """Focal lengths and principal point, px."""
 
     fu_px: float
@@ -30,8 +30,8 @@ class Intrinsics:
 
 
 def rectified_camera(
-    left: Intrinsics,
-    right: Intrinsics,
+    left: PinholeIntrinsics,
+    right: PinholeIntrinsics,
     T_right_left: FloatArray,
     *,
     size_px: tuple[int, int],

@@ -21,7 +21,7 @@ from probevo.geometry import se3, so3
 from probevo.sequences.calibrations.calibration_files import read_stereo_calibration
 from probevo.sequences.calibrations.stereo_calibration import StereoCalibration
 from probevo.sequences.frame import GroundTruth
-from probevo.sequences.images import read_gray_of_any_depth
+from probevo.sequences.images import range_of_files, read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import (
     ACCEL_BIAS_WALK_M_S3_SQRT_HZ,
@@ -168,6 +168,7 @@ def open_euroc(
         imu_stream=imu_stream,
         truth=truth,
         rectification=rectification,
+        gray_range=range_of_files(left_files, right_files),
     )
 
 

@@ -15,7 +15,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError, brief
 from probevo.geometry import se3, so3
-from probevo.sequences.calibrations.rectified_pair import Intrinsics, rectified_camera
+from probevo.sequences.calibrations.rectified_pair import PinholeIntrinsics, rectified_camera
 from probevo.sequences.calibrations.stereo_calibration import mems_imu
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.images import list_images
@@ -113,7 +113,7 @@ def _read_camera(folder: Path) -> StereoCamera:
     return rectified_camera(left, right, T_right_left, size_px=size_px, where=stereo)
 
 
-def _read_intrinsics(path: Path) -> tuple[Intrinsics, tuple[int, int]]:
+def _read_intrinsics(path: Path) -> tuple[PinholeIntrinsics, tuple[int, int]]:
     """Read ``Pinhole fx fy cx cy`` with distortions of zero, and the size on the next line.
 
     Raises:
@@ -134,7 +134,7 @@ def _read_intrinsics(path: Path) -> tuple[Intrinsics, tuple[int, int]]:
     size = parse_floats(size_line.split(), size_where)
     if len(size) != 2 or not all(1.0 <= value <= 1e5 and value == int(value) for value in size):
         raise InputError(size_where, f"the size is {brief(size_line)}.", "Expected width height.")
-    return Intrinsics(*numbers[:4]), (int(size[0]), int(size[1]))
+    return PinholeIntrinsics(*numbers[:4]), (int(size[0]), int(size[1]))
 
 
 def _pairs(

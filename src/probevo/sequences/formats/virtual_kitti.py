@@ -12,7 +12,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.sequences.calibrations.rectified_pair import Intrinsics, rectified_camera
+from probevo.sequences.calibrations.rectified_pair import PinholeIntrinsics, rectified_camera
 from probevo.sequences.format_options import SIMULATED_RATE_HZ, rate_note
 from probevo.sequences.images import list_pairs, read_gray
 from probevo.sequences.poses import ground_truth
@@ -48,8 +48,8 @@ def open_virtual_kitti(path: Path, *, rate_hz: float | None = None) -> StereoRec
     T_cam_world = se3.from_parts(C_cam_world.reshape(2, count, 3, 3), extrinsics[..., :3, 3])
     T_right_left = T_cam_world[1] @ se3.inverse(T_cam_world[0])
     camera = rectified_camera(
-        Intrinsics(*intrinsics[0, 0].tolist()),
-        Intrinsics(*intrinsics[1, 0].tolist()),
+        PinholeIntrinsics(*intrinsics[0, 0].tolist()),
+        PinholeIntrinsics(*intrinsics[1, 0].tolist()),
         _mean_pose(T_right_left),
         size_px=(width, height),
         where=where,
