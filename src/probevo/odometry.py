@@ -590,6 +590,9 @@ class StereoOdometry:
             )
         # An accepted solve
         motion = solved.calibrated.accepted()
+        gyro_bias = solved.prediction.gyro_bias_after(
+            visual.accepted_solution, motion.cov, enters_solve=self.config.gyro.prior
+        )
         residuals = LastResiduals.none()
         if solved.recovery is not None:
             # It is several steps long: it gives the mean velocity only, leaves the predictors no
@@ -614,9 +617,7 @@ class StereoOdometry:
             state,
             tracking=tracking.without(solved.tracks.ids[visual.outliers]),
             rig=solved.calibrated.rig,
-            gyro_bias=solved.prediction.gyro_bias_after(
-                visual.accepted_solution, enters_solve=self.config.gyro.prior
-            ),
+            gyro_bias=gyro_bias,
             motion_model=model,
             disparities=visual.disparities,
             residuals=residuals,

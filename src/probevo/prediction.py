@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.recovery import MAX_DURATION_S, Recovery, noise_factor
@@ -41,23 +42,25 @@ class Prediction:
     """The window, with the IMU samples since its last frame; None without a window."""
 
     def gyro_bias_after(
-        self, solution: ReprojectionSolution, *, enters_solve: bool
+        self, solution: ReprojectionSolution, cov: FloatArray, *, enters_solve: bool
     ) -> GyroBias | None:
         """Return the estimate of the gyro's bias after an accepted solve; None without an IMU.
 
         Args:
             solution: the motion.
+            cov: its covariance, with the errors of the rig, [6, 6].
             enters_solve: whether the gyro's rotation was one of its measurements.
         """
         if self.gyro is None or self.gyro_bias is None:
             return self.gyro_bias
-        # If the gyro has entered the solve, the motion is not independent of it.
-        learn = (
-            self.gyro_bias.updated_by_joint_solve
-            if enters_solve
-            else self.gyro_bias.updated_by_independent_solve
-        )
-        return learn(self.gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
+        C_curr_prev = solution.T_curr_prev[:3, :3]
+        if enters_solve:
+            # The motion is not independent of the gyro, whose part is taken off the solve's own
+            # covariance.
+            return self.gyro_bias.updated_by_joint_solve(
+                self.gyro, C_curr_prev, solution.cov[3:, 3:]
+            )
+        return self.gyro_bias.updated_by_independent_solve(self.gyro, C_curr_prev, cov[3:, 3:])
 
     def from_last_usable(self) -> tuple[Prediction, Recovery] | None:
         """Predict the motion from the last usable frame, where features may be found again
