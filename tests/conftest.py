@@ -20,19 +20,21 @@ sys.dont_write_bytecode = False
 from compile_once import take_turns  # noqa: E402
 
 LONGEST = (
-    *("test_atomic_step.py", "test_examples.py", "nets/test_rotation_training.py"),
+    # One process compiles the odometry for minutes, which all others wait for once they need it.
+    # So these begin with networks, which do not.
+    *("test_atomic_step.py", "paper/test_hydranet.py", "nets/test_learning.py"),
+    *("nets/test_sun_training.py", "nets/test_methods.py", "nets/test_sun_methods.py"),
+    *("nets/test_rotation_training.py", "test_examples.py"),
     *("training/gk/test_expectation_maximization.py", "sim/scene/test_presets.py"),
     *("noise/gk/test_generalized_kernel.py", "nets/test_correction_training.py"),
-    *("test_odometry.py", "paper/test_hydranet.py", "sim/scene/test_renderer.py"),
+    *("test_odometry.py", "sim/scene/test_renderer.py"),
     *("test_tutorial.py", "training/test_training_at_scale.py", "training/test_api.py"),
-    *("nets/test_learning.py", "paper/test_figure_5.py"),
-    *("evaluation/test_accelerometer_scale.py", "predictors/test_separation.py"),
-    *("cli/test_hostile_folder.py", "test_fuzz.py", "training/probe/test_selection.py"),
-    *("estimation/test_sensor_fusion.py", "output/report/test_report.py"),
-    *("cli/test_run_command.py", "training/test_workers.py"),
-    *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
-    *("estimation/window/test_inertial.py", "cli/test_demo_command.py"),
-    *("nets/test_sun_methods.py", "nets/test_methods.py", "training/gk/test_jitter.py"),
+    *("paper/test_figure_5.py", "evaluation/test_accelerometer_scale.py"),
+    *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
+    *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
+    *("output/report/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
+    *("tracking/test_pair_timing.py", "estimation/window/test_inertial.py"),
+    *("cli/test_demo_command.py", "training/gk/test_jitter.py"),
     *("estimation/window/test_window.py", "output/comparison/test_comparison.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with. Those that
