@@ -349,8 +349,10 @@ def _tested(
         # All innovations are against the pose before any of these measurements. What fails the gate
         # is left out; a weight below one enlarges the covariance.
         squared = _innovation_squared(pose_filter, measurement, pose)
-        weight = float(measurement.outcome(pose_filter.values(pose)).weight.min(initial=1.0))
-        if squared is not None and isinstance(measurement, VectorMeasurement):
+        if squared is None or not isinstance(measurement, VectorMeasurement):
+            outcome = measurement.outcome(pose_filter.values(pose))
+            weight = float(outcome.weight.min(initial=1.0))
+        else:
             dim = len(measurement.covariance)
             weight = bounded_weight(squared, large_residual_threshold(dim))
             if squared > chdtri(dim, GATE_TAIL):
