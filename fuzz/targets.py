@@ -405,19 +405,22 @@ def other_bag(files: Files, name: str, rng: Generator) -> Files:
 
 
 def model_seeds() -> tuple[Seed, ...]:
-    """Train a small model of each kind."""
+    """Train a small model of each kind, by given hyperparameters: their choice takes long."""
     from probevo.training.api import train_model
     from probevo.training.settings import KernelSettings, TrainSettings
 
+    kernel = KernelSettings(iterations=1, neighbors=50, prior_counts=8.0, centers=100)
+    options: dict[str, dict[str, Any]] = {
+        "knn": {"iterations": 2, "neighbors": 20, "exponent": 2.0},
+        "gk": {"gk": kernel},
+        "student-t": {},
+    }
     seeds = []
     with tempfile.TemporaryDirectory(prefix="fuzz-") as name:
         drive = write_drive(Path(name) / "drive.npz")
-        for kind in ("knn", "gk", "student-t"):
+        for kind, of_kind in options.items():
             path = Path(name) / f"{kind}.safetensors"
-            few: dict[str, Any] = {"gk": KernelSettings(iterations=1)} if kind == "gk" else {}
-            if kind == "knn":
-                few = {"iterations": 2}
-            settings = TrainSettings(kind=kind, supervision="none", **few)
+            settings = TrainSettings(kind=kind, supervision="none", **of_kind)
             train_model([drive], settings, path)
             save_model(load_model(path), path)
             seeds.append(Seed({path.name: path.read_bytes()}, path.name, (path.name,)))

@@ -100,6 +100,15 @@ def data_root() -> Path:
 
 
 @pytest.fixture
+def coarsely_rendered() -> Iterator[None]:
+    """Render quickly, for a test that needs images but not their finest detail."""
+    from coarse_rendering import coarse_rendering
+
+    with coarse_rendering():
+        yield
+
+
+@pytest.fixture
 def undrawn() -> Iterator[None]:
     """Leave the figures of all pages empty, for a test that does not look at them."""
     from output.undrawn import figures_undrawn

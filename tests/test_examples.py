@@ -98,6 +98,7 @@ def test_conversions_against_samples() -> None:
     np.testing.assert_allclose(np.cov(errors.T), converted, atol=0.02 * np.abs(converted).max())
 
 
+@pytest.mark.usefixtures("coarsely_rendered")
 def test_how_wrong_features_are(capsys: pytest.CaptureFixture[str]) -> None:
     """The solver trusts what stands still."""
     load("03_how_wrong_features_are.py").main("city", Effects(traffic=1.0))
@@ -116,6 +117,7 @@ def rendered_once(config: SceneConfig) -> SceneRecording:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarsely_rendered")
 def test_learn_whom_to_trust(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

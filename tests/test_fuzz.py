@@ -26,6 +26,7 @@ def targets() -> dict[str, Target]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", NAMES)
 def test_mutants_end_in_a_value_or_a_refusal(
     name: str, targets: dict[str, Target], tmp_path: Path
@@ -42,6 +43,7 @@ def test_mutants_end_in_a_value_or_a_refusal(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_not_mutated_is_accepted(name: str, targets: dict[str, Target]) -> None:
     """Otherwise each mutant would be refused for another reason than its damage."""

@@ -28,7 +28,8 @@ from worlds import CAMERA, FORWARD, blind_frame, drive
 
 STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])
 SIGMA_RAD = np.deg2rad(10.0)
-NUM_FRAMES = 400
+NUM_FRAMES = 250
+NUM_FRAMES_OF_LIES = 400
 EVERY = 5
 DRIVES = 12
 
@@ -180,7 +181,7 @@ def test_the_attitude_reaches_its_fisher_bound_and_is_consistent(
 @cache
 def without_sensors(seed: int) -> list[SensorFusion]:
     rng = np.random.default_rng(seed)
-    poses = true_path(rng)
+    poses = true_path(rng, NUM_FRAMES_OF_LIES)
     states, _ = fuse(poses, noisy_steps(poses, rng), [], NorthConfig())
     return states
 
@@ -192,7 +193,7 @@ def test_a_sensor_that_lies_is_excluded_and_forgotten(fault: str, from_index: in
     thirty sightings has pulled until it is found out cannot be undone; one that lies from the
     start has pulled little."""
     rng = np.random.default_rng(5)
-    poses = true_path(rng)
+    poses = true_path(rng, NUM_FRAMES_OF_LIES)
     steps = noisy_steps(poses, rng)
     sun = Sun(poses, rng, fault, from_index)
     states, outcomes = fuse(poses, steps, [sun], NorthConfig())

@@ -534,6 +534,7 @@ def test_nonsense_about_a_search_is_refused(kind: str, key: str, value: Any, pat
     refuse(path, with_training(kind, ("searches", "neighbors", key), value))
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_shows_what_is_accepted(kind: str, path: Path, tmp_path: Path) -> None:
     write_model_file(path, with_training(kind, ("settings", "seed"), 1))

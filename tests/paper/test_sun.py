@@ -44,7 +44,7 @@ def test_the_sensor_measures_what_it_says() -> None:
 def test_ten_degrees_every_tenth_frame_bound_the_heading() -> None:
     """The claimed covariance is the Cramér–Rao bound within 10 %; the error within 20 % of it; and
     each way to lie is found out, with a path as good as without the sensor."""
-    settings = SunConfig(frames=501)
+    settings = SunConfig(frames=301)
     drives = [simulate_drive(settings, index) for index in range(3)]
     sensors = {
         fault: [

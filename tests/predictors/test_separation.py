@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coarse_rendering import coarse_rendering
 from probevo.predictors import PREDICTORS
 from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
 
@@ -38,7 +39,8 @@ columns = separation.SPACE.columns
 
 def drive(number: int = 0, **effects: float) -> Any:
     config = CITY.model_copy(update={"drive": number, "effects": Effects(**effects)})
-    return separation.drive(config, warm_up=2, counted=5)
+    with coarse_rendering():
+        return separation.drive(config, warm_up=2, counted=5)
 
 
 @pytest.fixture(scope="module")

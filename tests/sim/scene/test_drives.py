@@ -29,6 +29,7 @@ def drive(scene: SceneRecording) -> tuple[Metrics, list[MotionEstimate]]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarsely_rendered")
 def test_a_clean_drive_drifts_little_and_noise_increases_the_error() -> None:
     """Drift is below 0.5 % without effects; with sensor noise, steps are half as wrong again.
 

@@ -38,7 +38,7 @@ def place(
     return built(config.model_dump_json())
 
 
-SHORT_M = 60.0
+SHORT_M = 30.0
 """Length of places whose length does not matter."""
 
 
@@ -147,14 +147,14 @@ def test_a_half_textureless_road_has_half_the_contrast(preset: PresetName) -> No
 
 @every_preset
 def test_foliage_adds_leaves_that_repeat(preset: PresetName) -> None:
-    before = place(preset, distance_m=SHORT_M).world.solids
-    after = place(preset, distance_m=SHORT_M, foliage=1.0).world.solids
+    before = place(preset, distance_m=60.0).world.solids
+    after = place(preset, distance_m=60.0, foliage=1.0).world.solids
     assert not np.any(before.texture == Texture.HEDGE_REPEATED)
     assert np.sum(after.texture[:, 1] == Texture.HEDGE_REPEATED) > 50
 
 
 def test_the_strength_of_foliage_is_the_share_of_the_road_with_hedges() -> None:
-    route = Route.from_turns([(2000.0, 0.0)])
+    route = Route.from_turns([(1000.0, 0.0)])
     hedges = {}
     for strength in (0.5, 1.0):
         plants = foliage(route, strength, 6.0, rng=np.random.default_rng(0))
@@ -184,10 +184,10 @@ def test_shadows_add_the_own_vehicle_unseen(preset: PresetName) -> None:
 
 @every_preset
 def test_the_distance_can_be_set(preset: PresetName) -> None:
-    here = PRESETS[preset](SceneConfig(preset=preset, distance_m=300.0))
+    here = PRESETS[preset](SceneConfig(preset=preset, distance_m=150.0))
     trajectory = Trajectory.along(here.world.ground.route, here.plan, np.random.default_rng(0))
     path_m = trajectory.T_world_cam(np.arange(0.0, trajectory.duration_s, 0.05))[:, :2, 3]
-    assert np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum() == pytest.approx(300.0, rel=0.05)
+    assert np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum() == pytest.approx(150.0, rel=0.05)
 
 
 @pytest.mark.parametrize("preset", ["city", "residential"])
