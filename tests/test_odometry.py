@@ -743,7 +743,7 @@ def test_points_kilometres_away_give_statuses(seed: int) -> None:
         motion = odometry.step(Frame(k, k * 10**8, features=StereoFeatures(np.arange(100), pixels)))
         if k == 0:
             continue
-        assert motion.status in (OK, pv.Status.DEGENERATE, pv.Status.RECOVERED)
+        assert motion.status is not pv.Status.NOT_CONVERGED
         assert np.linalg.eigvalsh(motion.cov)[0] > 0.0
         rotation = so3.log(motion.T_curr_prev[:3, :3])  # the true one is none
         assert rotation @ np.linalg.solve(motion.cov[3:, 3:], rotation) < 5.0**2

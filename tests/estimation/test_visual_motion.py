@@ -52,8 +52,10 @@ from worlds import (
 )
 
 CONFIG = OdometryConfig()
-UNKNOWN = MotionModel.at_start(CONFIG.motion_model).predict(0.1, None)
+AT_START = MotionModel.at_start(CONFIG.motion_model).predict(0.1, None)
 """The prediction of the first step: any motion of a car."""
+UNKNOWN = replace(AT_START, speed_is_unknown=False)
+"""As wide, but without the stricter test of the start."""
 SLOW = np.diag(np.repeat([0.05, 0.01], 3))
 STANDSTILL = MotionPrediction(np.eye(4), SLOW**2, velocity_sensitivity=SLOW)
 NEAR_M = (3.0, 10.0)
@@ -691,6 +693,17 @@ def test_few_inliers_must_be_of_the_majority(solution: ReprojectionSolution) -> 
     assert status_of(solution, prediction=STANDSTILL) is Status.NOT_CONVERGED
     nowhere = replace(solution, cov=np.full((6, 6), np.nan))
     assert status_of(nowhere) is Status.DEGENERATE
+
+
+def test_few_inliers_must_be_two_thirds_while_the_speed_is_unknown(
+    solution: ReprojectionSolution,
+) -> None:
+    """Nothing contradicts a few that agree by chance then."""
+    few = 2 * CONFIG.solver.min_tracks
+    tracks = 3 * (few - 2) // 2
+    assert status_of(solution, few - 2, AT_START, num_tracks=tracks) is Status.OK
+    assert status_of(solution, few - 2, AT_START, num_tracks=tracks + 1) is Status.TOO_FEW_TRACKS
+    assert status_of(solution, few, AT_START) is Status.OK
 
 
 @pytest.mark.parametrize("axis", range(6))

@@ -76,6 +76,8 @@ class MotionPrediction:
     sudden_turn_rad: float = 0.0
     """Standard deviation that a sudden turn adds to the rotation about each axis; 0 if a gyro would
     see it."""
+    speed_is_unknown: bool = False
+    """Whether there is hardly an estimate of the velocity, so that no motion contradicts it."""
     alternative: MotionPrediction | None = None
     """Another prediction: from the last velocity alone where this one is a gyro's, which may be
     wrong; that of a gyro where it has not been tested. If set, a solve must contradict both
@@ -217,6 +219,7 @@ class MotionModel:
             velocity_sensitivity,
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
+            speed_is_unknown=self.speed_is_unknown,
         )
 
     def change_cov(self, duration_s: float) -> FloatArray:

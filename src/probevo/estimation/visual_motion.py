@@ -52,6 +52,10 @@ MINORITY_FACTOR = 2
 the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
 Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
 all on one; one of these was 0.4 m off and claimed 9 mm."""
+MAJORITY_AT_START = 2.0 / 3.0
+"""Share of the tracks that so few inliers must be while the speed is unknown, and nothing
+contradicts a wrong motion: of eleven tracks, six agreed on a standstill while the car drove 2 m a
+step."""
 
 
 @dataclass(frozen=True)
@@ -321,7 +325,9 @@ class VisualEstimator:
             ),
             is_weak=status is Status.DEGENERATE
             and solution.converged
-            and _has_enough_inliers(solve.estimate.weights, len(tracks), self._config)
+            and _has_enough_inliers(
+                solve.estimate.weights, len(tracks), priors.prediction, self._config
+            )
             and priors.prediction.agrees(solution.T_curr_prev, solution.hessian),
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
@@ -613,7 +619,7 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    if not _has_enough_inliers(weights, num_tracks, config):
+    if not _has_enough_inliers(weights, num_tracks, prediction, config):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.
@@ -622,9 +628,13 @@ def evaluate_status(
     return Status.OK
 
 
-def _has_enough_inliers(weights: FloatArray, num_tracks: int, config: OdometryConfig) -> bool:
-    """Return whether enough of the tracks are inliers; a minority of all tracks needs more
-    (``MINORITY_FACTOR``)."""
-    is_minority = len(weights) < 0.5 * num_tracks
-    fewest = config.solver.min_tracks * (MINORITY_FACTOR if is_minority else 1)
-    return num_inliers(weights) >= fewest
+def _has_enough_inliers(
+    weights: FloatArray, num_tracks: int, prediction: MotionPrediction, config: OdometryConfig
+) -> bool:
+    """Return whether enough of the tracks are inliers; those that may agree by chance must be more
+    (``MINORITY_FACTOR``, ``MAJORITY_AT_START``)."""
+    count = num_inliers(weights)
+    may_be_chance = len(weights) < 0.5 * num_tracks or (
+        prediction.speed_is_unknown and count < MAJORITY_AT_START * num_tracks
+    )
+    return count >= config.solver.min_tracks * (MINORITY_FACTOR if may_be_chance else 1)
