@@ -29,10 +29,16 @@ def predicted(T_curr_prev: FloatArray) -> MotionPrediction:
 def box(
     rng: np.random.Generator, count: int, T_curr_prev: FloatArray, size_m: float, depth_m: float
 ) -> Tracks:
-    """Return points of a cube ahead, seen before and after a motion with noise of 0.2 px."""
+    """Return points of a cube ahead, seen before and after a motion."""
     points = rng.uniform(-0.5, 0.5, (count, 3)) * size_m + [0.0, 0.0, depth_m]
-    prev_px = CAMERA.project(points) + 0.2 * rng.normal(size=(count, 4))
-    curr_px = CAMERA.project(se3.transform(T_curr_prev, points)) + 0.2 * rng.normal(size=(count, 4))
+    return seen(points, T_curr_prev, rng)
+
+
+def seen(points: FloatArray, T_curr_prev: FloatArray, rng: np.random.Generator) -> Tracks:
+    """Return points, [N, 3], seen before and after a motion with noise of 0.2 px."""
+    prev_px = CAMERA.project(points) + 0.2 * rng.normal(size=(len(points), 4))
+    moved = se3.transform(T_curr_prev, points)
+    curr_px = CAMERA.project(moved) + 0.2 * rng.normal(size=(len(points), 4))
     return tracks_of(prev_px, curr_px)
 
 
@@ -99,6 +105,17 @@ def test_points_that_agree_with_both_do_not_count() -> None:
     assert outranks(of_street, of_van, CAMERA, fewest=20, against_px=3.0)
     assert not outranks(of_van, of_street, CAMERA, fewest=20, against_px=3.0)
     assert not outranks(of_street, of_van, CAMERA, fewest=40, against_px=3.0)
+
+
+def test_a_road_without_anything_beside_it_outranks_a_lorry() -> None:
+    """Its points take up no volume, but more area."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform([-2.0, 1.65, 6.0], [6.0, 1.65, 22.0], (60, 3))
+    of_road = Supported(DRIVING, seen(points, DRIVING, rng))
+    lorry = rng.uniform([-2.3, -1.9, 6.0], [-2.1, 1.6, 14.0], (60, 3))
+    of_lorry = Supported(AT_REST, seen(lorry, AT_REST, rng))
+    assert outranks(of_road, of_lorry, CAMERA, fewest=12, against_px=3.0)
+    assert not outranks(of_lorry, of_road, CAMERA, fewest=12, against_px=3.0)
 
 
 def test_points_behind_the_camera_contradict() -> None:

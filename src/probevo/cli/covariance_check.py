@@ -23,6 +23,10 @@ SURE = 3.0
 """Standard errors beyond which a mean differs from 1 by more than chance."""
 MAX_MARGIN = 0.5
 """What chance may add to a mean, beyond which one that does not differ from 1 says nothing."""
+COLUMNS = (
+    "NEES / 6 is 1 if the claimed covariances hold, more if they are too small; ± is one standard"
+    " error of it. The last columns are shares of the motions inside the claimed regions."
+)
 LIMITS = (
     "What both halves have in common does not show: a wrong baseline or focal length, what moves"
     " with the camera, an IMU, which is not used here."
@@ -72,7 +76,7 @@ def main(words: list[str]) -> None:
             sequence, noise, config, max_frames=arguments.max_frames, on_progress=show
         )
     print(f"recording: {sequence.path}, {found.num_frames} frames, {found.num_solved} solved twice")
-    print(f"\n{agreement_table(found.agreements)}\n")
+    print(f"\n{agreement_table(found.agreements)}\n{COLUMNS}\n")
     for agreement in found.agreements:
         print(verdict(agreement))
     print(LIMITS)

@@ -160,9 +160,13 @@ class Gap:
             T_curr_usable: the motion, [4, 4].
             cov: its covariance, [6, 6].
         """
-        across = se3.log(se3.inverse(self.T_curr_end) @ T_curr_usable)
+        # Both at the end of the gap: E (Exp(ξ) T) = Exp(Ad(E) ξ) E T.
+        T_end_curr = se3.inverse(self.T_curr_end)
+        across = se3.log(T_end_curr @ T_curr_usable)
+        adjoint = se3.adjoint(T_end_curr)
+        cov_across = adjoint @ cov @ adjoint.T
         difference = across / self.duration_s - self.mean_twist
-        variance = self.sigma**2 + np.diagonal(cov) / self.duration_s**2
+        variance = self.sigma**2 + np.diagonal(cov_across) / self.duration_s**2
         return bool((difference**2 / variance).sum() > MOTIONS_DIFFER_FROM)
 
 

@@ -7,7 +7,7 @@ confirms either.
 
 So where many of the tracks that a solve has used stay where they are, those that have moved are
 searched for a motion of their own. Of that and rest, the camera's is the one whose tracks are more,
-times the space that they spread over (``rival_motion``): a part of the vehicle is small and near,
+times the area that they spread over (``rival_motion``): a part of the vehicle is small and near,
 what passes before a camera at rest is compact, and the scene surrounds both.
 """
 
@@ -24,7 +24,7 @@ from probevo.estimation.rival_motion import (
     CONFIDENCE,
     MIN_UNPREDICTED,
     Supported,
-    presence_m3,
+    presence_m2,
 )
 from probevo.tracking.fixed_features import are_still
 from probevo.tracking.observations import FrameObservations, ObservationStore
@@ -84,7 +84,7 @@ def fixed_to_vehicle(
         # Where the scene is far, what passes is near: its motion would hardly move the scene.
         resting = Supported(np.eye(4), since.subset(moved_px <= threshold_px))
         fixed = resting.contradicting(found.T_curr_prev, camera, threshold_px)
-        if presence_m3(of_scene, camera) > presence_m3(fixed, camera):
+        if presence_m2(of_scene, camera) > presence_m2(fixed, camera):
             return fixed.ids
     return np.zeros(0, np.int64)
 
