@@ -27,9 +27,9 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.geometry import se3, so3
 from probevo.measurements import sun_in_enu
-from probevo.measurements.base import pose_of
 from probevo.measurements.direction import Direction
 from probevo.measurements.sensor import Reading
+from probevo.measurements.variables import pose_of
 from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import FARTHEST
 from probevo.nets.sun_network import SunNetwork

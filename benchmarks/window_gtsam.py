@@ -17,8 +17,8 @@ from probevo.config import OdometryConfig
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
-from probevo.measurements.base import pose_of
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.variables import pose_of
 from probevo.noise import StudentT
 from probevo.tracking.tracks import Tracks
 

@@ -29,9 +29,10 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import GyroConfig, TrackingConfig, WindowConfig
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.variables import pose_of
 from probevo.noise import NearestNeighbors
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space

@@ -32,11 +32,12 @@ from probevo.estimation.window.estimator import SolvedTracks, WindowEstimator
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.live_motion import live_advance, live_motion
 from probevo.estimation.window.window import Window
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias
 from probevo.measurements.sensor import Sensor
 from probevo.measurements.sensor_suite import SensorSuite
+from probevo.measurements.variables import pose_of
 from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.prediction import Prediction, motion_for_window, predict, velocity_for_window

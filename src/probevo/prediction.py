@@ -12,11 +12,11 @@ from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_steps import with_samples
 from probevo.estimation.window.window import Window
-from probevo.measurements.base import pose_of
 from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.state import OdometryState

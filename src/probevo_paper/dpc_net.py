@@ -18,9 +18,9 @@ from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
-from probevo.measurements.base import pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.variables import pose_of
 from probevo.nets.correction_network import CorrectionNetwork, inputs_of
 from probevo.nets.correction_sensor import CorrectionSensor
 from probevo.nets.estimated_steps import stereo_field, view_pair

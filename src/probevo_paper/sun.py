@@ -20,9 +20,9 @@ from probevo.config import NorthConfig
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.geometry import se3, so3
-from probevo.measurements.base import pose_of
 from probevo.measurements.direction import tangent_axes
 from probevo.measurements.sensor import read_sensor
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo_paper.sun_config import SunConfig
 from probevo_sim.sun_sensor import MIN_SIGMA_RAD, Fault, SunSensor

@@ -9,9 +9,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.measurements.base import pose_of
 from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 
 MIN_SIGMA_RAD = math.radians(0.1)

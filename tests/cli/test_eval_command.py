@@ -11,7 +11,7 @@ from cli.rendering import true_poses
 from probevo.cli.main import main
 from probevo.geometry import se3
 from probevo.measurements import PosePrior
-from probevo.measurements.base import pose_of
+from probevo.measurements.variables import pose_of
 from probevo.output.files import write_kitti_poses, write_tum
 from probevo.output.motions_file import read_motions
 from probevo.runs.runner import run_sequence

@@ -9,8 +9,8 @@ from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import MIN_INLIERS, Consensus
 from probevo.geometry import se3, so3
-from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.variables import MOTION
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice, tracks_of
 

@@ -11,15 +11,10 @@ from scipy.optimize import least_squares
 from probevo.arrays import FloatArray
 from probevo.estimation import levenberg_marquardt
 from probevo.geometry import se3
-from probevo.measurements.base import (
-    Linearization,
-    Outcome,
-    Values,
-    Variable,
-    VectorMeasurement,
-    pose_of,
-)
+from probevo.measurements.base import Linearization, Outcome
 from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.variables import Values, Variable, pose_of
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 FIRST = pose_of(0)
 SECOND = pose_of(1)

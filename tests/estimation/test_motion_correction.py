@@ -19,10 +19,10 @@ from probevo.estimation.window.further_measurements import with_measurements
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import pose_of
 from probevo.noise import Fixed, StereoNoise
 from probevo.sequences.frame import Frame
 from probevo.tracking.tracks import Tracks

@@ -12,10 +12,10 @@ from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojec
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import MOTION
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION
 from probevo.noise import StudentT
 from worlds import CAMERA, seen_twice
 

@@ -10,7 +10,8 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstima
 from probevo.estimation.pose_filter import MIN_SIGMA, PoseFilter
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, VectorMeasurement, pose_of
+from probevo.measurements.variables import Values, Variable, pose_of
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 POSE = pose_of(9)
 

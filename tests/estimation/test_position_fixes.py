@@ -14,9 +14,11 @@ from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements import NORTH, Position, pose_of
-from probevo.measurements.base import Measurement, Variable, VectorMeasurement
+from probevo.measurements.base import Measurement
 from probevo.measurements.north import ORIGIN, attitude_of_enu
 from probevo.measurements.sensor import Sensor
+from probevo.measurements.variables import Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 from probevo.sequences.frame import Frame
 from worlds import CAMERA, FORWARD, drive
 

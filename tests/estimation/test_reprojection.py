@@ -17,7 +17,6 @@ from probevo.estimation.reprojection import (
 )
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import MOTION
 from probevo.measurements.point_priors import observation_to_point
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
@@ -29,6 +28,7 @@ from probevo.measurements.stereo_numba import (
     weigh,
 )
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from worlds import seen_twice
 

@@ -17,13 +17,13 @@ from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, St
 from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations
 from probevo.geometry import se3, so3
 from probevo.measurements import Measurement, pose_of
-from probevo.measurements.base import large_residual_threshold
 from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH, attitude_of_enu
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement, Reading, sensor_names
 from probevo.measurements.travelled_distance import TravelledDistance
+from probevo.measurements.vector_measurement import large_residual_threshold
 from worlds import CAMERA, FORWARD, blind_frame, drive
 
 STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])

@@ -17,11 +17,12 @@ from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojec
 from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.measurements.travelled_distance import TravelledDistance
+from probevo.measurements.variables import pose_of
 from probevo.noise import Fixed, StereoNoise, StudentT
 from probevo.tracking.tracks import Tracks
 from worlds import (

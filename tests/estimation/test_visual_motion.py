@@ -25,9 +25,9 @@ from probevo.estimation.visual_motion import (
 )
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION
 from probevo.noise import (
     Fixed,
     GeneralizedKernel,

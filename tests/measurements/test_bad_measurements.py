@@ -12,7 +12,6 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.measurements.base import Variable, VectorMeasurement, pose_of
 from probevo.measurements.correction import MotionCorrection, read_correction
 from probevo.measurements.direction import Direction
 from probevo.measurements.heading import Heading
@@ -23,6 +22,8 @@ from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import read_sensor
 from probevo.measurements.travelled_distance import TravelledDistance
+from probevo.measurements.variables import Variable, pose_of
+from probevo.measurements.vector_measurement import VectorMeasurement
 from probevo.sequences.frame import Frame
 
 PREV = Frame(index=0, stamp_ns=0)

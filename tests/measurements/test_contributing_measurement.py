@@ -7,7 +7,8 @@ import pytest
 
 from contributing import example
 from probevo.geometry import so3
-from probevo.measurements.base import numeric_jacobians, pose_of
+from probevo.measurements.variables import pose_of
+from probevo.measurements.vector_measurement import numeric_jacobians
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import MOTION
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION
 from probevo.noise import Fixed
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, moved, seen_twice

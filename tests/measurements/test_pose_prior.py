@@ -5,8 +5,8 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import pose_of
 from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.variables import pose_of
 
 POSE = pose_of(7)
 COV = np.diag([0.04, 0.01, 0.09, 1e-4, 4e-4, 1e-4])

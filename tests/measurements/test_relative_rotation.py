@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from probevo.geometry import se3, so3
-from probevo.measurements.base import Values, numeric_jacobians, pose_of
 from probevo.measurements.relative import relative_motion
 from probevo.measurements.relative_rotation import MIN_SIGMA_RAD, RelativeRotation
+from probevo.measurements.variables import Values, pose_of
+from probevo.measurements.vector_measurement import numeric_jacobians
 
 PREV = pose_of(4)
 CURR = pose_of(5)

@@ -6,20 +6,14 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.measurements.base import (
-    Values,
-    VectorMeasurement,
-    dimension,
-    numeric_jacobians,
-    pose_of,
-    retract,
-)
 from probevo.measurements.direction import Direction, of_azimuth_and_zenith, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import LEVEL, NORTH, ORIGIN, attitude_of_enu
 from probevo.measurements.position import Position
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.travelled_distance import TravelledDistance
+from probevo.measurements.variables import Values, dimension, pose_of, retract
+from probevo.measurements.vector_measurement import VectorMeasurement, numeric_jacobians
 
 PREV = pose_of(6)
 POSE = pose_of(7)

@@ -5,11 +5,11 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.measurements.base import pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement
 from probevo.measurements.sensor_suite import SensorSuite
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 from worlds import FORWARD, blind_frame
 

@@ -8,10 +8,10 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
-from probevo.measurements.base import PosePair, Values, pose_of, retract
 from probevo.measurements.robust_loss import LossName, RobustLoss
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import PosePair, Values, pose_of, retract
 from probevo.noise import StereoNoise, StudentT
 from worlds import CAMERA, FORWARD, moved, random_pixels, seen_twice
 

@@ -10,8 +10,8 @@ import pytest
 jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 pytest.importorskip("equinox")
 
-from probevo.measurements.base import pose_of  # noqa: E402
 from probevo.measurements.direction import Direction  # noqa: E402
+from probevo.measurements.variables import pose_of  # noqa: E402
 from probevo.nets.sun_space import SunTargets  # noqa: E402
 
 SPACE = SunTargets()

@@ -10,8 +10,8 @@ import pytest
 
 from probevo.cli.main import main
 from probevo.geometry import se3
-from probevo.measurements.base import pose_of
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import pose_of
 from probevo_paper import sun
 from probevo_paper.command_sun import cells
 from probevo_paper.sun import SunDrive, SunPath, attitude_bound, fused_path, row_of, simulate_drive

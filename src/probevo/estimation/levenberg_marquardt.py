@@ -10,14 +10,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, solve_positive_definite
-from probevo.measurements.base import (
-    Linearization,
-    Measurement,
-    Values,
-    Variable,
-    blocks_of,
-    retract,
-)
+from probevo.measurements.base import Linearization, Measurement
+from probevo.measurements.variables import Values, Variable, blocks_of, retract
 
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations."""

@@ -12,14 +12,11 @@ from probevo.estimation import levenberg_marquardt
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.geometry import se3
-from probevo.measurements.base import (
-    Measurement,
-    Values,
-    Variable,
-    VectorMeasurement,
-)
+from probevo.measurements.base import Measurement
 from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 MIN_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
 """Standard deviation to which the first pose is known, m and rad: it is the world's origin by

@@ -39,17 +39,16 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.reprojection import ReprojectionSolution
-from probevo.measurements.base import (
-    Measurement,
-    Values,
-    Variable,
+from probevo.measurements.base import Measurement
+from probevo.measurements.north import NORTH, ORIGIN
+from probevo.measurements.position import VAGUENESS, Position
+from probevo.measurements.sensor import Reading
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import (
     VectorMeasurement,
     bounded_weight,
     large_residual_threshold,
 )
-from probevo.measurements.north import NORTH, ORIGIN
-from probevo.measurements.position import VAGUENESS, Position
-from probevo.measurements.sensor import Reading
 
 GATE_TAIL = 1e-4
 """Tail probability of an innovation beyond which it is rejected."""

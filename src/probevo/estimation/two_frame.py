@@ -25,10 +25,11 @@ from probevo.estimation.disparity_filter import (
 )
 from probevo.estimation.feature_weights import INLIER_FROM, feature_weights, num_inliers
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
-from probevo.measurements.base import MOTION, Measurement, PosePair, Variable
+from probevo.measurements.base import Measurement
 from probevo.measurements.point_priors import DisparityPrior
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION, PosePair, Variable
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 

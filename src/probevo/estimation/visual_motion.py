@@ -31,10 +31,11 @@ from probevo.estimation.reprojection import (
 from probevo.estimation.rival_motion import rival_near_prediction
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, normalized_error_squared
-from probevo.measurements.base import MOTION, Measurement, Variable
+from probevo.measurements.base import Measurement
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import MOTION, Variable
 from probevo.noise.base import NoiseModel, StereoNoise, has_relative_scale, predicted_noise
 from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.noise.student_t import StudentT

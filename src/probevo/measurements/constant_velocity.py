@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 
 class ConstantVelocity(VectorMeasurement):

@@ -13,9 +13,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.measurements.base import pose_of
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement, Reading
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 
 

@@ -9,8 +9,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement, as_array
+from probevo.measurements.arguments import as_array
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 MAX_ANGLE_RAD = 3.0
 """Angle at which the derivative across the residual is capped; at π it is infinite."""

@@ -8,14 +8,10 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.measurements.base import (
-    Values,
-    Variable,
-    VectorMeasurement,
-    as_number,
-    as_sigma,
-)
+from probevo.measurements.arguments import as_number, as_sigma
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 MIN_LEVEL = 0.1
 """Least share of the camera's z axis that is level: it is then 6° from the vertical, and an error

@@ -6,7 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.measurements.base import Variable
+from probevo.measurements.variables import Variable
 
 NORTH = Variable(kind="north", frame=0)
 """Its value is (tilt about east, tilt about north, heading), [3], rad: the first camera's heading,

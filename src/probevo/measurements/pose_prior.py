@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, VectorMeasurement, as_transform
+from probevo.measurements.arguments import as_transform
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 
 class PosePrior(VectorMeasurement):

@@ -7,8 +7,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.measurements.base import Values, Variable, VectorMeasurement, as_array
+from probevo.measurements.arguments import as_array
 from probevo.measurements.north import NORTH, ORIGIN, attitude_of_enu, jacobian_of_enu
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 VAGUENESS = 1e3
 """Standard deviation of the first camera's position before the first fix, in those of the fix."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.variables import Values, Variable
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 
 class RelativeMeasurement(VectorMeasurement):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, as_transform
+from probevo.measurements.arguments import as_transform
 from probevo.measurements.relative import RelativeMeasurement
+from probevo.measurements.variables import Values, Variable
 
 
 class RelativePose(RelativeMeasurement):

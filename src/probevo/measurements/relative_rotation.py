@@ -6,8 +6,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable, as_array, as_rotation
+from probevo.measurements.arguments import as_array, as_rotation
 from probevo.measurements.relative import RelativeMeasurement
+from probevo.measurements.variables import Values, Variable
 
 MIN_SIGMA_RAD = 1e-6
 """Its square is added to every variance, so that the covariance of a gyro without noise can be

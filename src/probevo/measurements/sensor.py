@@ -10,9 +10,11 @@ import numpy as np
 
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, Values, Variable, VectorMeasurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.north import WORLD_STATES
 from probevo.measurements.relative import RelativeMeasurement
+from probevo.measurements.variables import Values, Variable, pose_of
+from probevo.measurements.vector_measurement import VectorMeasurement
 from probevo.sequences.frame import Frame
 
 

@@ -24,14 +24,7 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.geometry import se3
-from probevo.measurements.base import (
-    TWO_FRAMES,
-    Linearization,
-    Outcome,
-    PosePair,
-    Values,
-    Variable,
-)
+from probevo.measurements.base import Linearization, Outcome
 from probevo.measurements.jitter_numba import (
     AXES,
     DOF,
@@ -62,6 +55,7 @@ from probevo.measurements.stereo_numba import (
     sum_information,
     weigh,
 )
+from probevo.measurements.variables import TWO_FRAMES, PosePair, Values, Variable
 from probevo.noise.base import MIN_VARIANCE_DOF, StereoNoise
 
 EXPECTED_FEATURES = 20.0

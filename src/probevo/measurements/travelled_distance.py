@@ -7,8 +7,9 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.measurements.base import Values, Variable, as_array, as_number, as_sigma
+from probevo.measurements.arguments import as_array, as_number, as_sigma
 from probevo.measurements.relative import RelativeMeasurement
+from probevo.measurements.variables import Values, Variable
 
 AHEAD = np.array([0.0, 0.0, 1.0])
 """The camera's optical axis."""

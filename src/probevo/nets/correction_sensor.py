@@ -9,10 +9,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
-from probevo.measurements.base import pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import pose_of
 from probevo.nets.correction_network import CorrectionNetwork, inputs_of
 from probevo.nets.estimated_steps import stereo_field, view_pair
 from probevo.nets.flow_field import check_field_of_view, virtual_view

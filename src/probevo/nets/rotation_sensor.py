@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probevo.camera.stereo import StereoCamera
-from probevo.measurements.base import pose_of
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import pose_of
 from probevo.nets.flow_field import check_field_of_view, field_of_images
 from probevo.nets.rotation_network import RotationNetwork
 from probevo.nets.trained_network import is_beyond_domain

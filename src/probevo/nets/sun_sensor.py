@@ -9,9 +9,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.measurements.base import Variable, pose_of
 from probevo.measurements.direction import Direction
 from probevo.measurements.sensor import NoMeasurement
+from probevo.measurements.variables import Variable, pose_of
 from probevo.nets.flow_field import check_field_of_view
 from probevo.nets.sun_network import SunNetwork
 from probevo.nets.sun_views import read_sun, sun_field

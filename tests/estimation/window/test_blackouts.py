@@ -10,8 +10,9 @@ from probevo import StereoOdometry
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3, so3
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 from worlds import CAMERA, FORWARD, blind_frame, drive, motion_error
 

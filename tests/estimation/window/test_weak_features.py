@@ -13,8 +13,9 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import numeric_jacobians, pose_of
 from probevo.measurements.constant_velocity import ConstantVelocity
+from probevo.measurements.variables import pose_of
+from probevo.measurements.vector_measurement import numeric_jacobians
 from probevo.sequences.frame import Frame, StereoFeatures
 from worlds import CAMERA, FORWARD, blind_frame, drive, motion_error, moved
 

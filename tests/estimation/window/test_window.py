@@ -28,10 +28,10 @@ from probevo.estimation.window.window import MarginalPrior, Window, selected
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import pose_of
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.variables import pose_of
 from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking.tracks import Tracks

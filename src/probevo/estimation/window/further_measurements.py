@@ -12,8 +12,9 @@ from probevo.estimation import levenberg_marquardt
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, VectorMeasurement
+from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.vector_measurement import VectorMeasurement
 
 
 def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Window:

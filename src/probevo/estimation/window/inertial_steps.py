@@ -32,7 +32,6 @@ from probevo.estimation.window.inertial_states import InertialStates
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
-from probevo.measurements.base import pose_of
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration import (
     NoPreintegration,
@@ -40,6 +39,7 @@ from probevo.measurements.preintegration import (
     preintegrate,
 )
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.variables import pose_of
 from probevo.sequences.frame import Frame
 
 FRAMES_AT_START = 6

@@ -24,7 +24,7 @@ from probevo.estimation.window.equations import (
 )
 from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3
-from probevo.measurements.base import Values, pose_of
+from probevo.measurements.variables import Values, pose_of
 
 RIGID_SIGMA_RAD = 1e-9
 """Standard deviation of the jitter of a rig that is said to be flawless, rad."""

@@ -6,16 +6,8 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.measurements.base import (
-    Values,
-    Variable,
-    VectorMeasurement,
-    blocks_of,
-    dimension,
-    numeric_jacobians,
-    pose_of,
-    retract,
-)
+from probevo.measurements.variables import Values, Variable, blocks_of, pose_of, retract
+from probevo.measurements.vector_measurement import VectorMeasurement, numeric_jacobians
 
 POSE = pose_of(3)
 OFFSET = Variable("offset", 3)
@@ -267,17 +259,3 @@ def test_the_information_of_a_narrow_covariance_is_positive_and_symmetric() -> N
     # Along A⁻¹ d the residual moves along d, the only direction that is hardly known.
     along = np.linalg.solve(Linear.A, direction)
     np.testing.assert_allclose(along @ information @ along, 1.0, rtol=1e-4)
-
-
-def test_variables_are_poses_or_vectors() -> None:
-    """A pose moves by Exp(ξ) from the left, a vector by addition; blocks follow one another."""
-    rng = np.random.default_rng(4)
-    T = se3.exp(rng.normal(size=6))
-    xi = rng.normal(size=6)
-    assert dimension(T) == 6
-    np.testing.assert_allclose(retract(T, xi), se3.exp(xi) @ T, atol=1e-14)
-    assert dimension(np.zeros(4)) == 4
-    np.testing.assert_array_equal(retract(np.array([1.0, 2.0]), np.array([0.5, 1.0])), [1.5, 3.0])
-    blocks, dof = blocks_of([OFFSET, POSE], {POSE: T, OFFSET: np.zeros(3)})
-    assert blocks == {OFFSET: slice(0, 3), POSE: slice(3, 9)}
-    assert dof == 9
