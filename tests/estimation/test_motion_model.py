@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
@@ -308,6 +309,17 @@ def test_sensible_motions_pass_the_gate(innovation: list[float]) -> None:
 def test_implausible_motions_fail_the_gate(innovation: list[float]) -> None:
     prediction = driving().predict(STEP_S, None)
     assert prediction.fails_gate(se3.exp(np.array(innovation)) @ prediction.T_curr_prev, COV)
+
+
+def test_the_gate_is_a_quantile_and_a_gyro_s_is_wider() -> None:
+    assert chdtri(6, 1e-4) == pytest.approx(INNOVATION_GATE, abs=0.01)
+    gyro = RelativeRotation(so3.exp(STEP_S * TWIST_S[3:]), 1e-8 * np.eye(3), curr=MOTION)
+    for rotation, passes in ((None, False), (gyro, True)):
+        prediction = driving().predict(STEP_S, rotation)
+        sigma_m = np.sqrt(prediction.cov[0, 0])
+        sideways = se3.exp(np.array([6.0 * sigma_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        cov = 1e-12 * np.eye(6)
+        assert prediction.fails_gate(sideways @ prediction.T_curr_prev, cov) is not passes
 
 
 def test_a_gyro_would_have_seen_a_sudden_turn() -> None:

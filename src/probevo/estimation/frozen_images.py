@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.estimation.motion_model import INNOVATION_GATE, MotionModel, MotionPrediction
+from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.sequences.frame import Frame
 from probevo.tracking.repeated_images import are_repeated, look_repeated
 
@@ -33,7 +33,7 @@ def are_frozen(
         return False
     if are_repeated(prev_frame, frame):
         return True
-    cannot_rest = prediction.squared_distance(np.eye(4), np.zeros((6, 6))) > INNOVATION_GATE
+    cannot_rest = prediction.squared_distance(np.eye(4), np.zeros((6, 6))) > prediction.gate
     return (were_frozen or cannot_rest) and look_repeated(prev_frame, frame)
 
 

@@ -15,9 +15,12 @@ from probevo.geometry import se3, so3
 from probevo.geometry.se3_numba import perturb
 from probevo.measurements.relative_rotation import RelativeRotation
 
-INNOVATION_GATE = 60.0
-"""Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
-rejected: about 7σ."""
+INNOVATION_GATE = 27.86
+"""Squared Mahalanobis distance of a motion's innovation beyond which the solve is rejected: the
+99.99 % quantile of χ²(6)."""
+GYRO_GATE = 60.0
+"""The same where the rotation is a gyro's, about 7σ. A rectification that is off turns all motions
+of the images alike, which neither covariance includes, and a gyro is precise enough to show."""
 
 MAX_STAMP_SHARE = 0.05
 """Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
@@ -76,8 +79,6 @@ class MotionPrediction:
     sudden_turn_rad: float = 0.0
     """Standard deviation that a sudden turn adds to the rotation about each axis; 0 if a gyro would
     see it."""
-    speed_is_unknown: bool = False
-    """Whether there is hardly an estimate of the velocity, so that no motion contradicts it."""
     alternative: MotionPrediction | None = None
     """Another prediction: from the last velocity alone where this one is a gyro's, which may be
     wrong; that of a gyro where it has not been tested. If set, a solve must contradict both
@@ -87,15 +88,27 @@ class MotionPrediction:
         """Return the difference of a motion [4, 4] and the prediction, a left perturbation, [6]."""
         return se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
 
+    @property
+    def gate(self) -> float:
+        """Squared Mahalanobis distance beyond which a motion contradicts the prediction."""
+        return GYRO_GATE if self.is_of_gyro else INNOVATION_GATE
+
     def fails_gate(
-        self, T_curr_prev: FloatArray, cov: FloatArray, gate: float = INNOVATION_GATE
+        self, T_curr_prev: FloatArray, cov: FloatArray, gate: float | None = None
     ) -> bool:
         """Return whether a solved motion differs too much from the prediction, given both
-        covariances."""
+        covariances.
+
+        Args:
+            T_curr_prev: the motion, [4, 4].
+            cov: its covariance, [6, 6].
+            gate: another gate than its own.
+        """
         # Either prediction may be the one that is wrong.
         if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov, gate):
             return False
-        return self.squared_distance(T_curr_prev, self._with_sudden_turn(cov)) > gate
+        squared = self.squared_distance(T_curr_prev, self._with_sudden_turn(cov))
+        return squared > (self.gate if gate is None else gate)
 
     def _with_sudden_turn(self, cov: FloatArray) -> FloatArray:
         """Return the covariance of a motion, [6, 6], plus that of a turn that begins suddenly."""
@@ -119,7 +132,7 @@ class MotionPrediction:
         u = np.linalg.solve(root, self.innovation(T_curr_prev))
         values, directions = np.linalg.eigh(root.T @ information @ root)
         share = np.maximum(values, 0.0) / (1.0 + np.maximum(values, 0.0))
-        return bool(share @ (directions.T @ u) ** 2 <= INNOVATION_GATE)
+        return bool(share @ (directions.T @ u) ** 2 <= self.gate)
 
     def squared_distance(self, T_curr_prev: FloatArray, cov: FloatArray) -> float:
         """Return the squared Mahalanobis distance of the prediction from a motion [4, 4] with
@@ -219,7 +232,6 @@ class MotionModel:
             velocity_sensitivity,
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
-            speed_is_unknown=self.speed_is_unknown,
         )
 
     def change_cov(self, duration_s: float) -> FloatArray:

@@ -48,15 +48,13 @@ with ``student-t``. With more, the features do not agree on a motion."""
 MIN_INLIER_SHARE = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
-MINORITY_FACTOR = 2
-"""Multiple of ``solver.min_tracks`` below which inliers are so few that RANSAC must have confirmed
-the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
-Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
-all on one; one of these was 0.4 m off and claimed 9 mm."""
-MAJORITY_AT_START = 2.0 / 3.0
-"""Share of the tracks that so few inliers must be while the speed is unknown, and nothing
-contradicts a wrong motion: of eleven tracks, six agreed on a standstill while the car drove 2 m a
-step."""
+CHANCE_FACTOR = 2
+"""Multiple of ``solver.min_tracks`` below which inliers are so few that they may agree by chance:
+where RANSAC has confirmed a minority of the tracks, or where hardly any fit the predicted noise and
+they agree only under a larger one. Both are rare. Of 5,500 steps on forty rendered drives
+(``benchmarks/random_rigs.py``, two seeds) five are the former, all on one; one of these was 0.4 m
+off and claimed 9 mm. Of the latter, six of eleven tracks agreed on a standstill while the car drove
+2 m a step."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +153,8 @@ class _Solve:
     """Factor of the noise model's variances in ``noise``."""
     enlargement: float = 1.0
     """Factor by which the covariance of the motion was enlarged."""
+    need_larger_noise: bool = False
+    """Whether the tracks agree only under a larger noise than was predicted."""
 
     def estimated_noise_factor(self, solution: ReprojectionSolution) -> float | None:
         """Return the factor by which the variances of the noise model would fit the residuals.
@@ -291,11 +291,17 @@ class VisualEstimator:
         if _contradicts_prediction(solve, priors.prediction):
             solve = self._solve_of_rival(tracks, phi, consensus, priors, rng=rng) or solve
         # Accept or reject it.
+        fewest = fewest_inliers(
+            num_used=len(solve.tracks),
+            num_tracks=len(tracks),
+            need_larger_noise=solve.need_larger_noise,
+            config=self._config,
+        )
         status = evaluate_status(
             solve.estimate.solution,
             solve.estimate.weights,
             priors.prediction,
-            num_tracks=len(tracks),
+            fewest=fewest,
             config=self._config,
         )
         # The residuals of the two frames alone.
@@ -326,9 +332,7 @@ class VisualEstimator:
             ),
             is_weak=status is Status.DEGENERATE
             and solution.converged
-            and _has_enough_inliers(
-                solve.estimate.weights, len(tracks), priors.prediction, self._config
-            )
+            and solve.estimate.num_inliers >= fewest
             and priors.prediction.agrees(solution.T_curr_prev, solution.hessian),
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
@@ -433,6 +437,7 @@ class VisualEstimator:
             larger,
             again,
             noise_factor=fitting.factor * priors.noise_factor,
+            need_larger_noise=True,
         )
 
     def _solve(
@@ -592,12 +597,27 @@ def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool
     return prediction.fails_gate(solution.T_curr_prev, solution.cov, MOTIONS_DIFFER_FROM)
 
 
+def fewest_inliers(
+    *, num_used: int, num_tracks: int, need_larger_noise: bool, config: OdometryConfig
+) -> int:
+    """Return how many inliers a solve needs, so that they do not agree by chance.
+
+    Args:
+        num_used: number of tracks that the solve used.
+        num_tracks: number of tracks of the step, with those that RANSAC rejected.
+        need_larger_noise: whether they agree only under a larger noise than was predicted.
+        config: settings of the solver.
+    """
+    may_be_chance = need_larger_noise or num_used < 0.5 * num_tracks
+    return config.solver.min_tracks * (CHANCE_FACTOR if may_be_chance else 1)
+
+
 def evaluate_status(
     solution: ReprojectionSolution,
     weights: FloatArray,
     prediction: MotionPrediction,
     *,
-    num_tracks: int,
+    fewest: int,
     config: OdometryConfig,
 ) -> Status:
     """Return OK if a solve is determined in all six dimensions by enough tracks, converged, and
@@ -607,7 +627,7 @@ def evaluate_status(
         solution: the solve.
         weights: weight of each track that it used, [N].
         prediction: motion predicted before the images are used.
-        num_tracks: number of tracks, with those that RANSAC rejected.
+        fewest: least number of inliers that do not agree by chance.
         config: settings of the solver.
     """
     if not np.isfinite(solution.cov).all():
@@ -620,22 +640,10 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    if not _has_enough_inliers(weights, num_tracks, prediction, config):
+    if num_inliers(weights) < fewest:
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.
     if not solution.converged or prediction.fails_gate(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED
     return Status.OK
-
-
-def _has_enough_inliers(
-    weights: FloatArray, num_tracks: int, prediction: MotionPrediction, config: OdometryConfig
-) -> bool:
-    """Return whether enough of the tracks are inliers; those that may agree by chance must be more
-    (``MINORITY_FACTOR``, ``MAJORITY_AT_START``)."""
-    count = num_inliers(weights)
-    may_be_chance = len(weights) < 0.5 * num_tracks or (
-        prediction.speed_is_unknown and count < MAJORITY_AT_START * num_tracks
-    )
-    return count >= config.solver.min_tracks * (MINORITY_FACTOR if may_be_chance else 1)
