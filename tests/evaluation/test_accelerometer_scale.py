@@ -149,6 +149,7 @@ def test_the_warning_needs_three_percent_and_three_sigma(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarsely_rendered")
 def test_a_wrong_baseline_of_a_rendered_drive_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
