@@ -360,6 +360,16 @@ def test_noise_that_is_larger_than_predicted_enlarges_the_covariance() -> None:
     assert low < np.mean(nees) < 7.5
 
 
+def test_a_handful_that_agree_only_under_a_larger_noise_may_agree_by_chance() -> None:
+    """Of ten features, whose noise is five times as large as the model says, none is solved for;
+    of a hundred, above, all are."""
+    noise = StudentT(5.0, 0.04 * np.eye(4))
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        visual = estimate(seen_twice(rng, 10, sigma_px=1.0, depth_m=(4.0, 10.0)), noise=noise)
+        assert visual.status is Status.TOO_FEW_TRACKS
+
+
 def test_the_evaluation_of_two_frames_is_as_uncertain_with_another_measurement() -> None:
     """It has the enlarged covariance, too, whether or not it is evaluated again; the gyro knows
     next to nothing here."""
