@@ -5,15 +5,18 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
 from probevo.errors import InputError
+from probevo.estimation import visual_motion
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import TwoFrameEstimate, TwoFrameEstimator
 from probevo.estimation.visual_motion import (
@@ -368,6 +371,24 @@ def test_a_handful_that_agree_only_under_a_larger_noise_may_agree_by_chance() ->
         rng = np.random.default_rng(seed)
         visual = estimate(seen_twice(rng, 10, sigma_px=1.0, depth_m=(4.0, 10.0)), noise=noise)
         assert visual.status is Status.TOO_FEW_TRACKS
+
+
+def test_more_tracks_near_the_prediction_replace_a_consensus_that_hardly_fits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """RANSAC has settled on another motion, on which tracks agree within pixels, as its threshold
+    admits."""
+    rng = np.random.default_rng(7)
+    good = seen_twice(rng, 30, sigma_px=0.2, depth_m=(5.0, 20.0))
+    bad = seen_twice(rng, 30, np.eye(4), sigma_px=1.0, depth_m=(5.0, 20.0))
+    found = Consensus(np.eye(4), np.arange(60) >= 24)
+    monkeypatch.setattr(visual_motion, "initial_motion", lambda *_, **__: found)
+    visual = estimate(both(good, bad), replace(UNKNOWN, T_curr_prev=FORWARD))
+    assert visual.status is Status.OK
+    assert visual.used[:30].all()
+    solution = visual.accepted_solution
+    error = motion_error(solution.T_curr_prev)
+    assert error @ np.linalg.solve(solution.cov, error) < chdtri(6, 1e-3)
 
 
 def test_the_evaluation_of_two_frames_is_as_uncertain_with_another_measurement() -> None:

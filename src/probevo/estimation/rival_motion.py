@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.config import OdometryConfig
@@ -47,11 +47,18 @@ class Supported(NamedTuple):
         self, T_curr_prev: FloatArray, camera: StereoCamera, against_px: float
     ) -> Tracks:
         """Return those of its tracks that are farther than ``against_px`` from where another
-        motion, [4, 4], takes them: in the worst of u_l, v_l, u_r, as in RANSAC."""
-        predicted_px = transfer(self.tracks.prev_px, T_curr_prev, camera)
-        error_px = np.abs(predicted_px - self.tracks.curr_px)[:, :3]
-        # Negated, since points that get behind the camera have no place, NaN.
-        return self.tracks.subset(~np.all(error_px <= against_px, axis=1))
+        motion, [4, 4], takes them."""
+        return self.tracks.subset(~are_within(against_px, self.tracks, T_curr_prev, camera))
+
+
+def are_within(
+    error_px: float, tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera
+) -> BoolArray:
+    """Return which of N tracks are no farther from where a motion, [4, 4], takes them: in the worst
+    of u_l, v_l, u_r, as in RANSAC, [N]. Points that get behind the camera are not."""
+    predicted_px = transfer(tracks.prev_px, T_curr_prev, camera)
+    within: BoolArray = np.all(np.abs(predicted_px - tracks.curr_px)[:, :3] <= error_px, axis=1)
+    return within
 
 
 def outranks(

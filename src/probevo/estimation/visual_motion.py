@@ -28,7 +28,7 @@ from probevo.estimation.reprojection import (
     ReprojectionSolution,
     evaluated_at,
 )
-from probevo.estimation.rival_motion import rival_near_prediction
+from probevo.estimation.rival_motion import are_within, rival_near_prediction
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, normalized_error_squared
 from probevo.measurements.base import Measurement
@@ -171,6 +171,16 @@ class _Solve:
             return None
         dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
         return self.noise_factor * scale_of_residuals(solution.squared, dof)
+
+    def differs_from(self, T_curr_prev: FloatArray) -> bool:
+        """Return whether its motion differs significantly from another one, [4, 4], given how much
+        noise its residuals show."""
+        solution = self.estimate.solution
+        if not np.isfinite(solution.cov).all():
+            return True
+        cov = _residual_scale(solution.squared, self.noise) * solution.cov
+        squared = normalized_error_squared(T_curr_prev[None], solution.T_curr_prev[None], cov[None])
+        return bool(squared[0] > MOTIONS_DIFFER_FROM)
 
     def noise_of_current_frame(self) -> StereoNoise:
         """Return the noise under which a window learns from the current frame as much as this
@@ -369,7 +379,13 @@ class VisualEstimator:
         return None if _contradicts_prediction(solve, priors.prediction) else solve
 
     def _solve_with_adapted_noise(
-        self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
+        self,
+        tracks: Tracks,
+        phi: FloatArray,
+        consensus: Consensus,
+        priors: MotionPriors,
+        *,
+        near_prediction: bool = False,
     ) -> _Solve:
         """Solve with the inliers of RANSAC under their predicted noise, or under a larger one if
         their residuals show that.
@@ -379,6 +395,7 @@ class VisualEstimator:
             phi: their predictors, [N, M].
             consensus: the motion that RANSAC found, and its inliers.
             priors: what is known about the step before its tracks are used.
+            near_prediction: whether the consensus is already that near the prediction.
         """
         # First with the predicted noise.
         used = consensus.inliers
@@ -394,6 +411,13 @@ class VisualEstimator:
         )
         if not self._is_noisier_than_expected(estimate):
             return solve
+        # RANSAC's threshold knows nothing of the noise: more tracks may agree near the prediction.
+        if not near_prediction:
+            rival = self._more_near_prediction(tracks, phi, solve, priors)
+            if rival is not None:
+                return self._solve_with_adapted_noise(
+                    tracks, phi, rival, priors, near_prediction=True
+                )
         # Then with what all tracks show of the noise, at the motion found.
         solution = estimate.solution
         fitting = self._adapted_noise(
@@ -439,6 +463,38 @@ class VisualEstimator:
             noise_factor=fitting.factor * priors.noise_factor,
             need_larger_noise=True,
         )
+
+    def _more_near_prediction(
+        self, tracks: Tracks, phi: FloatArray, solve: _Solve, priors: MotionPriors
+    ) -> Consensus | None:
+        """Return the motion that a robust solve with all N tracks finds from the prediction, if it
+        is another one than was solved for and more of them are inliers under the predicted noise;
+        None otherwise.
+
+        Args:
+            tracks: the N tracks.
+            phi: their predictors, [N, M].
+            solve: that with the inliers of RANSAC.
+            priors: what is known about the step before its tracks are used.
+        """
+        if self._config.ransac.mode != "reject":
+            return None
+        noise = self._noise_of(self._noise, tracks, phi, priors.noise_factor)
+        found = self._solve(
+            tracks,
+            replace(noise, jitter_cov=solve.noise.jitter_cov),
+            priors.disparities,
+            guess=priors.prediction.T_curr_prev,
+            priors=priors,
+        )
+        if found.num_inliers <= solve.estimate.num_inliers:
+            return None
+        # It may be the same motion, seen with more noise than predicted.
+        T_curr_prev = found.solution.T_curr_prev
+        if not solve.differs_from(T_curr_prev):
+            return None
+        near = are_within(self._config.ransac.threshold_px, tracks, T_curr_prev, self._camera)
+        return Consensus(T_curr_prev, near)
 
     def _solve(
         self,
