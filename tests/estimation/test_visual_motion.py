@@ -624,7 +624,7 @@ def reference_of(
     )
     visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
     solve = _Solve(
-        T_ransac=FORWARD,
+        T_guess=FORWARD,
         used=np.ones(len(tracks), np.bool_),
         tracks=tracks if contradicting is None else contradicting,
         noise=predicted,

@@ -140,8 +140,8 @@ class _AdaptedNoise(NamedTuple):
 class _Solve:
     """A solve, and the tracks and noise that it used."""
 
-    T_ransac: FloatArray
-    """The motion that RANSAC found, [4, 4]."""
+    T_guess: FloatArray
+    """The motion that its tracks agreed on before, [4, 4]."""
     used: BoolArray
     """Which of the N tracks of the step it used, [N]."""
     tracks: Tracks
@@ -379,13 +379,7 @@ class VisualEstimator:
         return None if _contradicts_prediction(solve, priors.prediction) else solve
 
     def _solve_with_adapted_noise(
-        self,
-        tracks: Tracks,
-        phi: FloatArray,
-        consensus: Consensus,
-        priors: MotionPriors,
-        *,
-        near_prediction: bool = False,
+        self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
     ) -> _Solve:
         """Solve with the inliers of RANSAC under their predicted noise, or under a larger one if
         their residuals show that.
@@ -395,50 +389,38 @@ class VisualEstimator:
             phi: their predictors, [N, M].
             consensus: the motion that RANSAC found, and its inliers.
             priors: what is known about the step before its tracks are used.
-            near_prediction: whether the consensus is already that near the prediction.
         """
         # First with the predicted noise.
-        used = consensus.inliers
-        inliers = tracks.subset(used)
-        noise = self._noise_of(self._noise, inliers, phi[used], priors.noise_factor)
-        if priors.jitter_cov is not None:
-            noise = replace(noise, jitter_cov=priors.jitter_cov)
-        estimate = self._solve(
-            inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
-        )
-        solve = _Solve(
-            consensus.T_curr_prev, used, inliers, noise, estimate, noise_factor=priors.noise_factor
-        )
-        if not self._is_noisier_than_expected(estimate):
+        solve = self._solve_of_consensus(tracks, phi, consensus, priors)
+        if not self._is_noisier_than_expected(solve.estimate):
             return solve
         # RANSAC's threshold knows nothing of the noise: more tracks may agree near the prediction.
-        if not near_prediction:
-            rival = self._more_near_prediction(tracks, phi, solve, priors)
-            if rival is not None:
-                return self._solve_with_adapted_noise(
-                    tracks, phi, rival, priors, near_prediction=True
-                )
+        rival = self._more_near_prediction(tracks, phi, solve, priors)
+        if rival is not None:
+            solve = self._solve_of_consensus(tracks, phi, rival, priors)
+            if not self._is_noisier_than_expected(solve.estimate):
+                return solve
         # Then with what all tracks show of the noise, at the motion found.
-        solution = estimate.solution
+        solution = solve.estimate.solution
         fitting = self._adapted_noise(
             tracks,
             phi,
             solution,
-            jitter_cov=noise.jitter_cov,
+            jitter_cov=solve.noise.jitter_cov,
             noise_factor=priors.noise_factor,
         )
         most_agree = are_enough(fitting.agree, self._config)
-        if estimate.num_inliers >= self._config.solver.min_tracks:
+        if solve.estimate.num_inliers >= self._config.solver.min_tracks:
             # There are inliers enough to determine the motion, but they understate the noise: the
             # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
             # all tracks, rather too much than too little.
-            enlargement = _residual_scale(solution.squared, noise)
+            enlargement = _residual_scale(solution.squared, solve.noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
             enlarged = replace(solution, cov=enlargement * solution.cov)
             return replace(
                 solve,
-                estimate=replace(estimate, solution=enlarged),
+                estimate=replace(solve.estimate, solution=enlarged),
                 enlargement=enlargement,
             )
         if not most_agree:
@@ -455,13 +437,30 @@ class VisualEstimator:
             priors=priors,
         )
         return _Solve(
-            consensus.T_curr_prev,
+            solve.T_guess,
             fitting.agree,
             agreeing,
             larger,
             again,
             noise_factor=fitting.factor * priors.noise_factor,
             need_larger_noise=True,
+        )
+
+    def _solve_of_consensus(
+        self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
+    ) -> _Solve:
+        """Solve with those of N tracks that agree on a motion, under their predicted noise; see
+        ``_solve_with_adapted_noise``."""
+        used = consensus.inliers
+        inliers = tracks.subset(used)
+        noise = self._noise_of(self._noise, inliers, phi[used], priors.noise_factor)
+        if priors.jitter_cov is not None:
+            noise = replace(noise, jitter_cov=priors.jitter_cov)
+        estimate = self._solve(
+            inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
+        )
+        return _Solve(
+            consensus.T_curr_prev, used, inliers, noise, estimate, noise_factor=priors.noise_factor
         )
 
     def _more_near_prediction(
@@ -619,7 +618,7 @@ class VisualEstimator:
         plain = self._two_frame.solve(
             solve.tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
-            guess=solve.T_ransac,
+            guess=solve.T_guess,
             others=priors.measurements,
             curr=priors.curr,
         )
