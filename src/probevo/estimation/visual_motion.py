@@ -28,7 +28,7 @@ from probevo.estimation.reprojection import (
     ReprojectionSolution,
     evaluated_at,
 )
-from probevo.estimation.rival_motion import are_within, rival_near_prediction
+from probevo.estimation.rival_motion import rival_near_prediction
 from probevo.estimation.two_frame import Estimator, TwoFrameEstimate, TwoFrameEstimator
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, normalized_error_squared
 from probevo.measurements.base import Measurement
@@ -467,8 +467,8 @@ class VisualEstimator:
         self, tracks: Tracks, phi: FloatArray, solve: _Solve, priors: MotionPriors
     ) -> Consensus | None:
         """Return the motion that a robust solve with all N tracks finds from the prediction, if it
-        is another one than was solved for and more of them are inliers under the predicted noise;
-        None otherwise.
+        is another one than was solved for, and more of them are inliers under the predicted noise
+        and too many to agree by chance; None otherwise.
 
         Args:
             tracks: the N tracks.
@@ -486,14 +486,15 @@ class VisualEstimator:
             guess=priors.prediction.T_curr_prev,
             priors=priors,
         )
-        if found.num_inliers <= solve.estimate.num_inliers:
+        fewest = CHANCE_FACTOR * self._config.solver.min_tracks
+        if found.num_inliers < max(fewest, solve.estimate.num_inliers + 1):
             return None
         # It may be the same motion, seen with more noise than predicted.
         T_curr_prev = found.solution.T_curr_prev
         if not solve.differs_from(T_curr_prev):
             return None
-        near = are_within(self._config.ransac.threshold_px, tracks, T_curr_prev, self._camera)
-        return Consensus(T_curr_prev, near)
+        # By weight, not by RANSAC's threshold, which knows no jitter of the rig.
+        return Consensus(T_curr_prev, found.weights >= OUTLIER_BELOW)
 
     def _solve(
         self,
