@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.config import OdometryConfig
@@ -33,8 +33,8 @@ CONFIDENCE = 0.9999
 """Confidence of RANSAC, by which it takes twice as many samples as usual: less than half of the
 tracks agree on a rival."""
 MIN_DISPARITY_PX = 1.0
-"""Points with less disparity count as if they had this one: they are at least so far away. From 0.3
-to 1 px, it makes no difference to which motions are chosen."""
+"""Points with less disparity count as if they had this one: they are at least so far away. With
+0.3, 0.5 and 1 px, the right one of as many pairs of motions is chosen."""
 
 
 class Supported(NamedTuple):
@@ -48,18 +48,11 @@ class Supported(NamedTuple):
         self, T_curr_prev: FloatArray, camera: StereoCamera, against_px: float
     ) -> Tracks:
         """Return those of its tracks that are farther than ``against_px`` from where another
-        motion, [4, 4], takes them."""
-        return self.tracks.subset(~are_within(against_px, self.tracks, T_curr_prev, camera))
-
-
-def are_within(
-    error_px: float, tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera
-) -> BoolArray:
-    """Return which of N tracks are no farther from where a motion, [4, 4], takes them: in the worst
-    of u_l, v_l, u_r, as in RANSAC, [N]. Points that get behind the camera are not."""
-    predicted_px = transfer(tracks.prev_px, T_curr_prev, camera)
-    within: BoolArray = np.all(np.abs(predicted_px - tracks.curr_px)[:, :3] <= error_px, axis=1)
-    return within
+        motion, [4, 4], takes them: in the worst of u_l, v_l, u_r, as in RANSAC."""
+        predicted_px = transfer(self.tracks.prev_px, T_curr_prev, camera)
+        error_px = np.abs(predicted_px - self.tracks.curr_px)[:, :3]
+        # Negated, since points that get behind the camera have no place, NaN.
+        return self.tracks.subset(~np.all(error_px <= against_px, axis=1))
 
 
 def outranks(
