@@ -48,10 +48,10 @@ docs-figures: $(VENV)/.installed
 fuzz: $(VENV)/.installed
 	PYTHONPATH=src:tests:. $(BIN)/python -m fuzz --seed $${SEED:-0} --number $${NUMBER:-10000}
 
+# Python makes bytecode of what it imports; pip would make it of all that is installed.
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet --editable '.[dev]'
+	$(BIN)/pip install --quiet --no-compile --editable '.[dev]'
 	touch $@
 
 clean:

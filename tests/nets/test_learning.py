@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from probevo.errors import InputError
 
@@ -98,12 +100,20 @@ def test_a_damaged_file_is_refused(place: int, finished: Path, tmp_path: Path) -
 
 
 def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
-    from safetensors.numpy import save_file
-
     file = tmp_path / "other.safetensors"
     save_file({"a": np.zeros(3)}, file)
     with pytest.raises(InputError, match="not a network of probevo"):
         train(METHODS[2], file)
+
+
+@pytest.mark.parametrize("version", [{}, {"version": 2}])
+def test_another_format_is_refused(version: dict[str, int], tmp_path: Path) -> None:
+    file = tmp_path / "other.safetensors"
+    entry = json.dumps({"checksum": "", "facts": "{}", **version})
+    save_file({"a": np.zeros(3)}, file, {"probevo-network": entry})
+    with pytest.raises(InputError, match=f"format {version.get('version', 0)}, ") as caught:
+        read_facts(file)
+    assert "Update probevo" in caught.value.cure
 
 
 def test_a_noise_model_is_named_as_such(tmp_path: Path) -> None:

@@ -25,10 +25,14 @@ FORMAT = "probevo-network"
 """Name of the one entry of the metadata, a JSON object: with several, their order would vary."""
 NOISE_MODEL = "probevo-noise-model"
 """The one entry of a noise model's file instead (``noise.model_file``)."""
+VERSION = 1
+"""Version of the format."""
 MAX_BYTES = 10_000_000_000
 CURE = "Copy it again from where it came, or train it again."
 CURE_OF_VERSION = "It is probably of another version of probevo: train again with this one."
 """Arrays with a right checksum are as they were written."""
+
+CURE_OF_FORMAT = "Update probevo, or train it again with this version."
 
 Tree = TypeVar("Tree")
 
@@ -46,8 +50,8 @@ def write_network_file(path: Path, tree: Any, facts: Mapping[str, Any]) -> None:
     """
     arrays = named_arrays(tree)
     text = json.dumps(facts, sort_keys=True, allow_nan=False)
-    entry = json.dumps({"checksum": _checksum(text, arrays), "facts": text}, sort_keys=True)
-    write_atomically(path, save(arrays, {FORMAT: entry}))
+    entry = {"checksum": _checksum(text, arrays), "facts": text, "version": VERSION}
+    write_atomically(path, save(arrays, {FORMAT: json.dumps(entry, sort_keys=True)}))
 
 
 def read_facts(path: Path) -> dict[str, Any]:
@@ -109,6 +113,12 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
                 what = "this is a noise model, not a network."
                 raise InputError(path, what, "Give it with --noise.")
             entry = json.loads(metadata[FORMAT])
+            # The version comes first: another format may have other keys. Before the first, there
+            # was none.
+            version = entry.get("version", 0)
+            if version != VERSION:
+                what = f"it has format {version}, and this version of probevo reads {VERSION}."
+                raise InputError(f"{path}: version", what, CURE_OF_FORMAT)
             arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
         text = entry["facts"]
         facts = json.loads(text)
@@ -122,7 +132,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         what = f"is not a network of probevo: it lacks {error}."
         cure = "Name a file that `probevo train` has written with --kind of a sensor."
         raise InputError(path, what, cure) from error
-    except (SafetensorError, TypeError, ValueError) as error:
+    except (AttributeError, SafetensorError, TypeError, ValueError) as error:
         raise InputError(path, f"is damaged, or no network: {error}.", CURE) from error
     if not isinstance(facts, dict) or claimed != _checksum(text, arrays):
         raise InputError(path, "damaged: its content does not match its checksum.", CURE)
