@@ -195,8 +195,9 @@ class _Problem(NamedTuple):
         """Return the problem of these tracks."""
         # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
         disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
+        points = np.column_stack([tracks.prev_px[:, :2], disparity])
         return _Problem(
-            points=np.column_stack([tracks.prev_px[:, :2], disparity]),
+            points=np.ascontiguousarray(points),
             curr=np.ascontiguousarray(tracks.curr_px),
             camera=Intrinsics.of(camera),
             threshold_px=threshold.all_px,
