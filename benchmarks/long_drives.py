@@ -4,9 +4,9 @@
 
 Four rendered streets with noise, traffic, shadows, and a rectification that is wrong, by images
 alone, noise ``student-t``. For the window and for two frames: drift, %, and rotation, °/m, over
-pieces of 10 to 50 m; then, at several distances from the start, the error of position and attitude, in
-brackets the claim (root of the summed variances), and the NEES of the pose, divided by its 6
-dimensions. With ``--out``, the rendered drives are kept there, and those that exist are not
+pieces of 10 to 50 m; then, at several distances from the start, the error of position and
+attitude, in brackets the claim (root of the summed variances), and the NEES of the pose, divided by
+its 6 dimensions. With ``--out``, the rendered drives are kept there, and those that exist are not
 rendered again.
 """
 

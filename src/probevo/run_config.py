@@ -40,8 +40,8 @@ class TopicSettings(Settings):
     truth: str | None = Field(
         None,
         description=(
-            "True poses: Odometry, PoseStamped, TransformStamped or tf; a topic called ground_truth"
-            " is used automatically."
+            "True poses: Odometry, PoseStamped, PoseWithCovarianceStamped, TransformStamped or tf;"
+            " a topic called ground_truth is used automatically."
         ),
     )
 

@@ -24,7 +24,8 @@ ORBIT_HEAD = (
     *("factor", "calibrated: in", "out"),
 )
 NOTES = (
-    "1-D regression: negative log-likelihood of true values on [−2, 2]; trained on [0, 1].",
+    "1-D regression: negative log-likelihood of true values on [−2, 2]; trained on [0, 0.6] and"
+    " [0.8, 1].",
     "Orbiting camera: in is within ±60° of polar angle, as trained; out is from there to ±81°.",
     "Factor: what views left out ask the covariances to be multiplied by; 1 is consistent.",
 )

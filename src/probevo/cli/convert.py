@@ -87,6 +87,11 @@ def main(words: list[str]) -> None:
         print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
     if is_bag and isinstance(sequence, MaskedRecording):
         print("Masks have no place in a bag: give them with --mask-left and --mask-right.")
+    if is_bag and sequence.camera.readout_s:
+        print(
+            "The readout time of the shutter has no place in a bag: give a Kalibr camchain with"
+            " line_delay as --calibration."
+        )
 
 
 def _check_flags(

@@ -116,7 +116,7 @@ class RunResult:
     cov: FloatArray
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
     common_mode: FloatArray
-    """Columns of the common-mode errors of all motions, [N-1, 6, 9]; see
+    """Columns of the common-mode errors of all motions, [N-1, 6, C]; see
     ``MotionEstimate.common_mode``."""
     path_cross_cov: FloatArray
     """Cross-covariances of each motion with the path before it, [N-1, 6, 6]; see

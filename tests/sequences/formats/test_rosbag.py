@@ -486,7 +486,8 @@ def test_a_calibration_file_rectifies_a_bag_as_it_does_a_folder(tmp_path: Path) 
         for k in range(-20, 40)
     ]
     messages.sort(key=lambda message: message.stamp_ns)
-    bag = open_sequence(write_messages(tmp_path / "recorded", "mcap", messages), calibration=file)
+    path = write_messages(tmp_path / "recorded", "mcap", messages)
+    bag = open_sequence(path, calibration=file)
     assert bag.camera == folder.camera
     for mine, theirs in zip(bag, folder, strict=True):
         np.testing.assert_array_equal(mine.left, theirs.left)
@@ -495,6 +496,14 @@ def test_a_calibration_file_rectifies_a_bag_as_it_does_a_folder(tmp_path: Path) 
     assert bag.imu is not None
     assert bag.imu.time_offset_s == -0.03
     np.testing.assert_allclose(np.linalg.norm(bag.imu.T_cam_imu[:3, 3]), 0.0547722557505, atol=1e-9)
+    # A file without that pose is named.
+    content = kalibr()
+    del content["cam0"]["T_cam_imu"]
+    cameras = write_yaml(tmp_path / "cameras.yaml", content)
+    without = open_sequence(path, calibration=cameras)
+    assert isinstance(without, BagRecording)
+    assert without.imu is None
+    assert f"{cameras} does not have" in dict(without.notes)["! IMU"]
 
 
 @pytest.mark.data

@@ -250,7 +250,7 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
 
     calibration = _calibration(path, content, topics, options=options, size_px=size_px)
     imu = with_noise_of(calibration.imu, options.imu_noise)
-    notes = _notes(content, topics, pairs, pair_tolerance_ms, imu)
+    notes = _notes(content, topics, pairs, options=options, imu=imu)
     imu_stream: ImuStream | None = None
     if imu is not None:
         try:
@@ -638,7 +638,8 @@ def _notes(
     content: _Content,
     topics: StereoTopics,
     pairs: StampPairs,
-    pair_tolerance_ms: float,
+    *,
+    options: RosbagOptions,
     imu: ImuCalibration | None,
 ) -> tuple[tuple[str, str], ...]:
     """Return what ``info`` reports on the topics, the pairs, the transforms and the IMU."""
@@ -650,7 +651,8 @@ def _notes(
         (
             "pairs" if num_left + num_right == 0 else "! pairs",
             f"{len(pairs)}, stamps at most {largest_ms:.3f} ms apart (within"
-            f" {pair_tolerance_ms:g} ms); without a partner: {num_left} left, {num_right} right",
+            f" {options.pair_tolerance_ms:g} ms); without a partner: {num_left} left,"
+            f" {num_right} right",
         ),
     ]
     for child, error in content.faulty_transforms.items():
@@ -663,9 +665,10 @@ def _notes(
         )
         notes.append(("! IMU", text))
     if content.imu_ns and imu is None:
+        calibrated_by = "tf_static" if options.calibration is None else options.calibration
         text = (
-            f"{topics.imu} is not used: tf_static does not have its pose in the camera's frame."
-            " Give a Kalibr camchain with T_cam_imu as --calibration."
+            f"{topics.imu} is not used: {calibrated_by} does not have its pose in the camera's"
+            " frame. Give a Kalibr camchain with T_cam_imu as --calibration."
         )
         notes.append(("! IMU", text))
     return tuple(notes)
