@@ -163,7 +163,7 @@ def forget_tracks(odometry: pv.StereoOdometry) -> None:
     state = odometry.state
     if state is None:
         return
-    tracker = tracker_for(state.frame, odometry.camera, odometry.config.tracking)
+    tracker = tracker_for(state.frame, odometry.camera, odometry.config.tracking_of_estimator)
     nothing = TrackingState.none(state.tracking.next_id)
     fresh = tracker.track(nothing, state.frame, np.eye(4)).state
     odometry._state = replace(state, tracking=fresh)

@@ -12,8 +12,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.config import RansacConfig
 from probevo.estimation import levenberg_marquardt
-from probevo.estimation.ransac import find_consensus
+from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
 from probevo.measurements.stereo_observations import StereoObservations
@@ -70,7 +71,9 @@ def main() -> None:
         return result
 
     levenberg_marquardt.minimize = timed
-    guess = find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4)).T_curr_prev
+    threshold = InlierThreshold(RansacConfig().threshold_px)
+    found = find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4), threshold=threshold)
+    guess = found.T_curr_prev
     whole_ms = median_ms(
         lambda: solve_reprojection(
             StereoObservations.of(prev, curr, noise, camera=CAMERA), guess=guess, max_iterations=10
@@ -79,7 +82,9 @@ def main() -> None:
     print(f"ten iterations over {COUNT} features: {np.median(iterations_ms):.2f} ms")
     print(f"  with set-up, weights and covariance: {whole_ms:.2f} ms")
     ransac_ms = median_ms(
-        lambda: find_consensus(tracks, CAMERA, rng=np.random.default_rng(0), guess=guess)
+        lambda: find_consensus(
+            tracks, CAMERA, rng=np.random.default_rng(0), guess=guess, threshold=threshold
+        )
     )
     print(f"RANSAC, 35 samples of three points, {COUNT} features: {ransac_ms:.2f} ms")
 

@@ -25,8 +25,8 @@ from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel
-from probevo.estimation.ransac import find_consensus
-from probevo.estimation.rival_motion import MIN_UNPREDICTED, Supported, outranks
+from probevo.estimation.ransac import InlierThreshold, find_consensus
+from probevo.estimation.rival_motion import MIN_UNPREDICTED, Hypothesis, outranks
 from probevo.geometry import se3
 from probevo.sequences.frame import Frame
 from probevo.sequences.recording import StereoRecording
@@ -39,6 +39,7 @@ FIRST_SEED = 41
 WRONG_FROM = 0.2
 """Error of a translation, as a share of its length, from which on it is another motion's."""
 MIN_ERROR_M = 0.1
+THRESHOLD_PX = 2.0
 AGAINST_PX = 6.0
 
 
@@ -114,16 +115,22 @@ def ranked(street: Street, index: int) -> list[Ranked]:
     """Return all pairs of motions of which one is right, between a frame and the next."""
     config = OdometryConfig()
     camera = street.recording.camera
-    tracker = ImageTracker(camera, config.tracking)
+    tracker = ImageTracker(camera, config.tracking_of_estimator)
     model = MotionModel.at_start(config.motion_model)
     step_s = 1e-9 * (street.frames[index + 1].stamp_ns - street.frames[index].stamp_ns)
     state = tracker.track(TrackingState.none(), street.frames[index], np.eye(4)).state
-    right: list[Supported] = []
-    wrong: list[Supported] = []
+    right: list[Hypothesis] = []
+    wrong: list[Hypothesis] = []
     for start in model.starts(step_s, model.predict(step_s, None)):
         tracks = tracker.follow(state, street.frames[index + 1], start).tracks
-        found = find_consensus(tracks, camera, np.random.default_rng(0), guess=start)
-        motion = Supported(found.T_curr_prev, tracks.subset(found.inliers))
+        found = find_consensus(
+            tracks,
+            camera,
+            np.random.default_rng(0),
+            guess=start,
+            threshold=InlierThreshold(THRESHOLD_PX),
+        )
+        motion = Hypothesis(found.T_curr_prev, tracks.subset(found.inliers))
         (right if street.is_right(found.T_curr_prev, index) else wrong).append(motion)
     fewest = MIN_UNPREDICTED * config.solver.min_tracks
     pairs = []

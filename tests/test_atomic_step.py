@@ -271,7 +271,7 @@ STAGES = {
     ),
     "choice of a start": Stage("probevo.odometry", "track_from_best_start", content="images"),
     "joining of features": Stage(
-        "probevo.tracking.feature_matcher:FeatureMatcher", "track", first=0
+        "probevo.tracking.identity_tracker:IdentityTracker", "track", first=0
     ),
     "rig rows": Stage("probevo.camera.rig_calibration:RigCalibration", "with_rows"),
     "rig correction": Stage("probevo.camera.rig_calibration:RigCalibration", "corrected"),

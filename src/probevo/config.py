@@ -122,6 +122,12 @@ class RansacConfig(Settings):
         ),
     )
 
+    @model_validator(mode="after")
+    def _check_rotation(self) -> Self:
+        if self.mode == "off" and self.rotation_from == "gyro":
+            raise ValueError("rotation_from gyro is for samples, and mode off draws none")
+        return self
+
 
 class SolverConfig(Settings):
     """Settings of the nonlinear least-squares solve, and of the checks on its result."""
@@ -288,6 +294,13 @@ class NorthConfig(Settings):
         le=90,
         description="Standard deviation of the first camera's tilt; in a car it is within 1 to 2.",
     )
+
+    @model_validator(mode="after")
+    def _check_heading(self) -> Self:
+        is_changed = self.heading_sigma_deg != type(self).model_fields["heading_sigma_deg"].default
+        if self.heading_deg is None and is_changed:
+            raise ValueError("heading_sigma_deg is that of heading_deg: give that, too")
+        return self
 
 
 class OdometryConfig(Settings):

@@ -20,7 +20,11 @@ from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.frozen_images import are_frozen, may_be_frozen
 from probevo.estimation.landmarks import Landmarks, triangulated
-from probevo.estimation.motion_correction import Shares, shares_of, with_correction
+from probevo.estimation.motion_correction import (
+    CovarianceIntersection,
+    covariance_intersection,
+    with_correction,
+)
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.recovery import INLIERS_FACTOR
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
@@ -479,11 +483,13 @@ class StereoOdometry:
         if prediction.window is not None:
             # A corrected motion and the features are from the same images. Inflate both, so that
             # the window does not count the images twice.
-            shares = None
+            intersection = None
             if any(reading.corrects and reading.measurements for reading in readings):
-                shares = shares_of(two_frame, corrected, self.config.window.frames)
+                intersection = covariance_intersection(
+                    two_frame, corrected, self.config.window.frames
+                )
             window = self._adjust(
-                prediction.window, solved, corrected, shares=shares, measured=measured
+                prediction.window, solved, corrected, intersection=intersection, measured=measured
             )
             motion = live_motion(corrected, prediction.window, window)
             if solved.visual.is_weak and not window.is_blind[-1]:
@@ -631,7 +637,7 @@ class StereoOdometry:
         solved: Solved,
         corrected: MotionEstimate,
         *,
-        shares: Shares | None,
+        intersection: CovarianceIntersection | None,
         measured: Measured,
     ) -> Window:
         """Adjust the last frames together, starting from the motion of the two-frame solve.
@@ -641,8 +647,8 @@ class StereoOdometry:
             solved: the two-frame solve.
             corrected: the motion of that solve, or else dead-reckoned; corrected, if there is a
                 correction.
-            shares: how features and corrected motion share the information of their images; None
-                without a correction.
+            intersection: how features and corrected motion share the information of their images;
+                None without a correction.
             measured: what the sensors measured.
         """
         prediction = solved.prediction
@@ -665,7 +671,7 @@ class StereoOdometry:
             ),
             motion_for_window(window, prediction, corrected),
             velocity=velocity,
-            shares=shares,
+            intersection=intersection,
             measurements=measurements,
             found_again=solved.found_again,
         )

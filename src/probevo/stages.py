@@ -109,8 +109,5 @@ class Solved:
     @property
     def observations(self) -> FrameObservations:
         """The raw observations, with the noise that was predicted for those used."""
-        return replace(
-            self.observed.tracked.state.observations(self.prediction.frame),
-            noise=self.visual.noise,
-            noise_landmarks=self.tracks.ids[self.visual.used],
-        )
+        observations = self.observed.tracked.state.observations(self.prediction.frame)
+        return replace(observations, noise=self.visual.noise)

@@ -20,7 +20,7 @@ from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
 from probevo.storage.files import remove_stale, write_atomically
 from probevo.storage.npz import write_npz
-from probevo.tracking.feature_matcher import FeatureMatcher
+from probevo.tracking.identity_tracker import IdentityTracker
 from probevo.tracking.tracker import TrackingState
 from probevo.tracking.tracks import Tracks
 from probevo_sim.noise_laws import NoiseLaw
@@ -93,7 +93,7 @@ class PointWorld:
 
     def steps(self) -> Iterator[PointStep]:
         """Yield the K − 1 pairs of consecutive frames."""
-        matcher = FeatureMatcher()
+        matcher = IdentityTracker()
         state = TrackingState.none()
         inlier = ~self.outlier
         for frame in self.frames():

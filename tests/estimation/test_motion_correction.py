@@ -12,7 +12,11 @@ import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.motion_correction import MIN_WEIGHT, Shares, shares_of
+from probevo.estimation.motion_correction import (
+    MIN_WEIGHT,
+    CovarianceIntersection,
+    covariance_intersection,
+)
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.further_measurements import with_measurements
@@ -50,19 +54,19 @@ def random_cov(rng: np.random.Generator, size: int = 6) -> FloatArray:
 
 def test_equal_motions_count_half_each_and_a_contradicted_one_counts_nothing() -> None:
     cov = random_cov(np.random.default_rng(0))
-    same = shares_of(motion_of(FORWARD, cov), motion_of(FORWARD, cov), 10)
+    same = covariance_intersection(motion_of(FORWARD, cov), motion_of(FORWARD, cov), 10)
     np.testing.assert_allclose(same, (2.0, 2.0), rtol=1e-9)
     moved = se3.exp(1000.0 * np.linalg.cholesky(cov)[:, 0] / np.linalg.norm(cov)) @ FORWARD
-    other = shares_of(motion_of(FORWARD, cov), motion_of(moved, cov), 10)
+    other = covariance_intersection(motion_of(FORWARD, cov), motion_of(moved, cov), 10)
     assert other.motion == pytest.approx(1.0, abs=1e-3)
     assert other.features > 1e6
 
 
 def test_features_that_two_frames_distrust_are_inflated_more() -> None:
     weights = np.array([1.0, 0.5, 0.0])
-    factors = Shares(features=5.0, motion=2.0).of_features(weights)
+    factors = CovarianceIntersection(features=5.0, motion=2.0).of_features(weights)
     np.testing.assert_allclose(factors, [5.0, 9.0, 1.0 + 4.0 / MIN_WEIGHT])
-    np.testing.assert_array_equal(Shares(1.0, 1.0).of_features(weights), 1.0)
+    np.testing.assert_array_equal(CovarianceIntersection(1.0, 1.0).of_features(weights), 1.0)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -72,7 +76,9 @@ def test_the_shares_are_consistent_whatever_the_cross_covariance(seed: int) -> N
     joint = random_cov(rng, 12)
     of_images = joint[:6, :6]
     of_motion = joint[6:, 6:]
-    shares = shares_of(motion_of(FORWARD, of_images), motion_of(FORWARD, of_motion), 10)
+    shares = covariance_intersection(
+        motion_of(FORWARD, of_images), motion_of(FORWARD, of_motion), 10
+    )
     assert 1.0 / shares.features + 1.0 / shares.motion == pytest.approx(1.0)
     information = np.linalg.inv(shares.features * of_images)
     claimed = np.linalg.inv(information + np.linalg.inv(shares.motion * of_motion))

@@ -7,6 +7,7 @@ from probevo.arrays import FloatArray
 from probevo.estimation.ransac import (
     INLIER_RATIO,
     Consensus,
+    InlierThreshold,
     find_consensus,
     find_consensus_near,
     num_hypotheses,
@@ -18,6 +19,7 @@ from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice
 COUNT = 200
 NUM_OUTLIERS = 100
 C_GYRO = FORWARD[:3, :3]
+THRESHOLD = InlierThreshold(2.0)
 
 
 def with_outliers(rng: np.random.Generator, sigma_px: float = 0.2) -> Tracks:
@@ -35,7 +37,9 @@ def with_outliers(rng: np.random.Generator, sigma_px: float = 0.2) -> Tracks:
 def consensus(tracks: Tracks, seed: int = 0, C_curr_prev: FloatArray | None = None) -> Consensus:
     """From the identity as guess."""
     rng = np.random.default_rng(seed)
-    return find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4), C_curr_prev=C_curr_prev)
+    return find_consensus(
+        tracks, CAMERA, rng=rng, guess=np.eye(4), threshold=THRESHOLD, C_curr_prev=C_curr_prev
+    )
 
 
 @pytest.mark.parametrize("rotation", [None, C_GYRO], ids=["three points", "one point and gyro"])
@@ -70,7 +74,12 @@ def test_only_motions_near_the_guess_are_tried_where_that_is_asked_for(seed: int
     sigma = np.repeat([0.2, 0.01], 3)
     guess = se3.exp(0.5 * sigma) @ FORWARD
     anywhere = find_consensus(
-        tracks, CAMERA, np.random.default_rng(seed), guess=guess, confidence=0.9999
+        tracks,
+        CAMERA,
+        np.random.default_rng(seed),
+        guess=guess,
+        threshold=THRESHOLD,
+        confidence=0.9999,
     )
     nearby = find_consensus_near(
         tracks,
@@ -78,6 +87,7 @@ def test_only_motions_near_the_guess_are_tried_where_that_is_asked_for(seed: int
         np.random.default_rng(seed),
         guess=guess,
         cov=9.0 * np.diag(sigma**2),
+        threshold=THRESHOLD,
         confidence=0.9999,
     )
     assert anywhere.inliers[80:].mean() > 0.8
@@ -134,7 +144,7 @@ def test_the_same_seed_gives_the_same_result() -> None:
 def test_too_few_features_leave_the_guess(count: int) -> None:
     tracks = seen_twice(np.random.default_rng(5), count)
     rng = np.random.default_rng(0)
-    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD)
+    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD, threshold=THRESHOLD)
     np.testing.assert_array_equal(found.T_curr_prev, FORWARD)
     np.testing.assert_array_equal(found.inliers, np.ones(count, np.bool_))
 
@@ -172,7 +182,7 @@ def test_the_guess_is_kept_where_no_sample_beats_it() -> None:
     is right."""
     tracks = at_infinity(np.random.default_rng(11), 60)
     rng = np.random.default_rng(0)
-    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD)
+    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD, threshold=THRESHOLD)
     assert found.inliers.all()
     assert np.linalg.norm(so3.log(found.T_curr_prev[:3, :3] @ C_GYRO.T)) < 1e-9
 

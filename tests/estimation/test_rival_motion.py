@@ -10,8 +10,8 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import Consensus, find_consensus
-from probevo.estimation.rival_motion import Supported, outranks, rival_near_prediction
+from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
+from probevo.estimation.rival_motion import Hypothesis, outranks, rival_near_prediction
 from probevo.geometry import se3
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, both, tracks_of
@@ -52,7 +52,13 @@ def street(rng: np.random.Generator, count: int, size_m: float = 12.0) -> Tracks
 
 
 def most_agree(tracks: Tracks) -> Consensus:
-    return find_consensus(tracks, CAMERA, np.random.default_rng(0), guess=DRIVING)
+    return find_consensus(
+        tracks,
+        CAMERA,
+        np.random.default_rng(0),
+        guess=DRIVING,
+        threshold=InlierThreshold(2.0),
+    )
 
 
 def rival(tracks: Tracks, prediction: MotionPrediction) -> Consensus | None:
@@ -100,8 +106,8 @@ def test_points_that_agree_with_both_do_not_count() -> None:
     """Without their share of both sets, the van would spread as far as the street."""
     rng = np.random.default_rng(3)
     far = box(rng, 40, AT_REST, 30.0, 400.0)
-    of_van = Supported(AT_REST, both(van(rng, 60), far))
-    of_street = Supported(DRIVING, both(street(rng, 30), far))
+    of_van = Hypothesis(AT_REST, both(van(rng, 60), far))
+    of_street = Hypothesis(DRIVING, both(street(rng, 30), far))
     assert outranks(of_street, of_van, CAMERA, fewest=20, against_px=3.0)
     assert not outranks(of_van, of_street, CAMERA, fewest=20, against_px=3.0)
     assert not outranks(of_street, of_van, CAMERA, fewest=40, against_px=3.0)
@@ -111,9 +117,9 @@ def test_a_road_without_anything_beside_it_outranks_a_lorry() -> None:
     """Its points take up no volume, but more area."""
     rng = np.random.default_rng(5)
     points = rng.uniform([-2.0, 1.65, 6.0], [6.0, 1.65, 22.0], (60, 3))
-    of_road = Supported(DRIVING, seen(points, DRIVING, rng))
+    of_road = Hypothesis(DRIVING, seen(points, DRIVING, rng))
     lorry = rng.uniform([-2.3, -1.9, 6.0], [-2.1, 1.6, 14.0], (60, 3))
-    of_lorry = Supported(AT_REST, seen(lorry, AT_REST, rng))
+    of_lorry = Hypothesis(AT_REST, seen(lorry, AT_REST, rng))
     assert outranks(of_road, of_lorry, CAMERA, fewest=12, against_px=3.0)
     assert not outranks(of_lorry, of_road, CAMERA, fewest=12, against_px=3.0)
 

@@ -17,7 +17,7 @@ from probevo.estimation.search_starts import (
 )
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking import FeatureMatcher, ImageTracker, Tracked, TrackingState, Tracks
+from probevo.tracking import IdentityTracker, ImageTracker, Tracked, TrackingState, Tracks
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.image_rotation import coarse_rotation
 from probevo.tracking.image_tracker import LEFT_THE_VIEW, Followed
@@ -179,18 +179,18 @@ def test_a_single_start_is_tracked_once() -> None:
 
 def test_given_features_are_matched_once(monkeypatch: pytest.MonkeyPatch) -> None:
     called = []
-    matched = FeatureMatcher.track
+    matched = IdentityTracker.track
 
     def counted(
-        matcher: FeatureMatcher, state: TrackingState, frame: Frame, T: FloatArray
+        matcher: IdentityTracker, state: TrackingState, frame: Frame, T: FloatArray
     ) -> Tracked:
         called.append(frame.index)
         return matched(matcher, state, frame, T)
 
-    monkeypatch.setattr(FeatureMatcher, "track", counted)
+    monkeypatch.setattr(IdentityTracker, "track", counted)
     given = StereoFeatures(np.arange(3), np.full((3, 4), 50.0))
     tracked = track_from_best_start(
-        FeatureMatcher(),
+        IdentityTracker(),
         TrackingState.none(),
         (Frame(0, 0, features=given), Frame(1, 1, features=given)),
         starts=[np.eye(4), se3.exp(0.02 * np.eye(6)[1])],

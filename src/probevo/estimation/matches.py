@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
+from probevo.config import RansacConfig
 from probevo.errors import InputError, brief
 from probevo.estimation.feature_weights import agree_with_noise, num_inliers
 from probevo.estimation.motion_estimate import MAX_UNKNOWN, MotionEstimate, Status
@@ -127,7 +128,7 @@ def _threshold_px(noise: StereoNoise) -> float:
     both = 2.0 if noise.refers_to == "observation" else 1.0
     largest_px2 = both * np.diagonal(noise.scale, axis1=1, axis2=2).max(axis=1)
     usual_px = float(np.sqrt(np.median(largest_px2)))
-    return max(InlierThreshold().all_px, THRESHOLD_SIGMAS * usual_px)
+    return max(RansacConfig().threshold_px, THRESHOLD_SIGMAS * usual_px)
 
 
 def _solved(

@@ -69,7 +69,7 @@ def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimat
     )
 
 
-class Shares(NamedTuple):
+class CovarianceIntersection(NamedTuple):
     """Factors of the covariances of features and corrected motion, if a window uses both."""
 
     features: float
@@ -86,8 +86,10 @@ class Shares(NamedTuple):
         return 1.0 + (self.features - 1.0) / np.maximum(weights, MIN_WEIGHT)
 
 
-def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int) -> Shares:
-    """Divide the information of the same images between features and corrected motion.
+def covariance_intersection(
+    of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
+) -> CovarianceIntersection:
+    """Return how features and corrected motion share the information of the same images.
 
     The features of a window have common errors. The correction ξ is an estimate of those of this
     step, and they add up over the K frames of the window, while features that are seen in all of
@@ -113,4 +115,6 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
     # Covariance intersection with ω = λ/(λ + c): λ/(1 − ω) times C, and 1/ω times Σ
     both = of_features + of_motion
-    return Shares(features=of_features * both / of_motion, motion=both / of_features)
+    return CovarianceIntersection(
+        features=of_features * both / of_motion, motion=both / of_features
+    )

@@ -42,7 +42,7 @@ COMMON_WITHIN = 3.0
 class InlierThreshold:
     """Largest reprojection error of an inlier."""
 
-    all_px: float = 2.0
+    all_px: float
     """Largest error in any of u_l, v_l, u_r."""
     right_sigma_px: float = 0.0
     """Standard deviation of an error that is the same for all u_r of the step, such as a flexing
@@ -103,8 +103,8 @@ def find_consensus(
     rng: np.random.Generator,
     *,
     guess: FloatArray,
+    threshold: InlierThreshold,
     C_curr_prev: FloatArray | None = None,
-    threshold: InlierThreshold = InlierThreshold(),
     confidence: float = 0.99,
 ) -> Consensus:
     """Find the best of the motions of random minimal samples.
@@ -120,8 +120,8 @@ def find_consensus(
         camera: the rectified camera.
         rng: source of the samples.
         guess: predicted T_curr_prev, [4, 4].
-        C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
         threshold: largest error of an inlier in any of u_l, v_l, u_r.
+        C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
         confidence: probability that at least one sample of three is free of outliers. As many
             samples of one point are drawn with a gyro, as in PROBE: fewer would do against
             outliers, but each motion has the depth noise of its point, and the best is chosen.
@@ -143,7 +143,7 @@ def find_consensus_near(
     *,
     guess: FloatArray,
     cov: FloatArray,
-    threshold: InlierThreshold = InlierThreshold(),
+    threshold: InlierThreshold,
     confidence: float = 0.99,
 ) -> Consensus:
     """Find the best of the motions of random minimal samples of three that are near a guess.

@@ -37,7 +37,7 @@ MIN_DISPARITY_PX = 1.0
 0.3, 0.5 and 1 px, the right one of as many pairs of motions is chosen."""
 
 
-class Supported(NamedTuple):
+class Hypothesis(NamedTuple):
     """A motion and the tracks that agree on it."""
 
     T_curr_prev: FloatArray
@@ -56,7 +56,7 @@ class Supported(NamedTuple):
 
 
 def outranks(
-    rival: Supported, best: Supported, camera: StereoCamera, *, fewest: float, against_px: float
+    rival: Hypothesis, best: Hypothesis, camera: StereoCamera, *, fewest: float, against_px: float
 ) -> bool:
     """Return whether one motion is rather the camera's than another.
 
@@ -107,8 +107,8 @@ def rival_near_prediction(
         confidence=CONFIDENCE,
     )
     is_ranked_higher = outranks(
-        Supported(found.T_curr_prev, tracks.subset(found.inliers)),
-        Supported(best.T_curr_prev, tracks.subset(best.inliers)),
+        Hypothesis(found.T_curr_prev, tracks.subset(found.inliers)),
+        Hypothesis(best.T_curr_prev, tracks.subset(best.inliers)),
         camera,
         fewest=config.solver.min_tracks,
         against_px=threshold_px,

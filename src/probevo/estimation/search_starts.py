@@ -14,7 +14,7 @@ from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
     MIN_UNPREDICTED,
-    Supported,
+    Hypothesis,
     outranks,
 )
 from probevo.geometry import se3, so3
@@ -83,10 +83,10 @@ class _Agreement(NamedTuple):
     be."""
 
     @property
-    def supported(self) -> Supported:
+    def hypothesis(self) -> Hypothesis:
         """The motion with the tracks that agree."""
         agreeing = self.followed.tracks_of_scene.subset(self.consensus.inliers)
-        return Supported(self.consensus.T_curr_prev, agreeing)
+        return Hypothesis(self.consensus.T_curr_prev, agreeing)
 
 
 def track_from_best_start(
@@ -146,8 +146,8 @@ def track_from_best_start(
     best, *others = sorted(agreements, key=lambda each: each.value, reverse=True)
     for rival in others if speed_is_unknown else []:
         if outranks(
-            rival.supported,
-            best.supported,
+            rival.hypothesis,
+            best.hypothesis,
             camera,
             fewest=MIN_UNPREDICTED * config.solver.min_tracks,
             against_px=AGAINST_FACTOR * config.ransac.threshold_px,

@@ -23,7 +23,7 @@ from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
     CONFIDENCE,
     MIN_UNPREDICTED,
-    Supported,
+    Hypothesis,
     presence_m2,
 )
 from probevo.tracking.fixed_features import are_still
@@ -82,7 +82,7 @@ def fixed_to_vehicle(
         if len(of_scene) < fewest:
             continue
         # Where the scene is far, what passes is near: its motion would hardly move the scene.
-        resting = Supported(np.eye(4), since.subset(moved_px <= threshold_px))
+        resting = Hypothesis(np.eye(4), since.subset(moved_px <= threshold_px))
         fixed = resting.contradicting(found.T_curr_prev, camera, threshold_px)
         if presence_m2(of_scene, camera) > presence_m2(fixed, camera):
             return fixed.ids

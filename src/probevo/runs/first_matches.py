@@ -50,7 +50,7 @@ def first_matches(frames: Sequence[Frame], camera: StereoCamera) -> FirstMatches
         frames: successive frames, at least one.
         camera: the camera that took them.
     """
-    tracker = tracker_for(frames[0], camera, RunConfig().tracking)
+    tracker = tracker_for(frames[0], camera, RunConfig().tracking_of_estimator)
     state = TrackingState.none()
     pixels = []
     num_positive = 0

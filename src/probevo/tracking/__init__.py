@@ -5,13 +5,13 @@ from __future__ import annotations
 from probevo.camera.stereo import StereoCamera
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
-from probevo.tracking.feature_matcher import FeatureMatcher
+from probevo.tracking.identity_tracker import IdentityTracker
 from probevo.tracking.image_tracker import ImageTracker
 from probevo.tracking.tracker import Tracked, Tracker, TrackingState
 from probevo.tracking.tracks import Tracks
 
 __all__ = [
-    "FeatureMatcher",
+    "IdentityTracker",
     "ImageTracker",
     "Tracked",
     "Tracker",
@@ -24,4 +24,4 @@ __all__ = [
 def tracker_for(frame: Frame, camera: StereoCamera, config: TrackingConfig) -> Tracker:
     """Return the tracker for frames like this one: with images, or with features already
     tracked."""
-    return FeatureMatcher() if frame.features is not None else ImageTracker(camera, config)
+    return IdentityTracker() if frame.features is not None else ImageTracker(camera, config)

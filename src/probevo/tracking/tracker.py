@@ -87,7 +87,6 @@ class TrackingState:
             stamp_ns=frame.stamp_ns,
             landmarks=self.ids,
             pixels=self.pixels,
-            patches=self.patches,
         )
 
 

@@ -45,7 +45,7 @@ def walked(
     used = [0.1 * rng.normal(size=NUM_COEFFICIENTS) for _ in range(STEPS)]
     errors = of_lenses(0.1 * rng.normal(size=NUM_COEFFICIENTS))
     for gain, used_px in zip(gains, used, strict=True):
-        effect = effect.carried_to_new(-1, FORWARD)
+        effect = effect.with_new_frame(-1, FORWARD)
         effect = effect.with_step(
             moves(gain), used=of_lenses(used_px), errors=errors, velocity_cov=NO_COV
         )
@@ -95,7 +95,7 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
         for sign in (1.0, second):
             gain = sign * rng.normal(size=(6, NUM_COEFFICIENTS))
             focal_gain = sign * np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
-            effect = effect.carried_to_new(-1, FORWARD)
+            effect = effect.with_new_frame(-1, FORWARD)
             effect = effect.with_step(
                 moves(gain, focal_gain), used=errors, errors=errors, velocity_cov=NO_COV
             )
@@ -129,7 +129,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
         used = known if k < 3 else noticed
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
         readout_gain = rng.normal(size=6)
-        effect = effect.carried_to_new(-1, FORWARD)
+        effect = effect.with_new_frame(-1, FORWARD)
         effect = effect.with_step(
             moves(gain, readout_gain=readout_gain), used=used, errors=noticed, velocity_cov=NO_COV
         )
@@ -142,7 +142,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
         sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
     )
     # Until it is noticed, the shutter is taken for a global one.
-    effect = CalibrationEffect.none().carried_to_new(-1, FORWARD)
+    effect = CalibrationEffect.none().with_new_frame(-1, FORWARD)
     effect = effect.with_step(
         moves(gain, readout_gain=readout_gain), used=known, errors=known, velocity_cov=NO_COV
     )
@@ -155,7 +155,7 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
     errors = replace(errors, cov=1e-18 * np.eye(len(errors.mean)))
     effect = CalibrationEffect.none()
     for _ in range(STEPS):
-        effect = effect.carried_to_new(-1, FORWARD)
+        effect = effect.with_new_frame(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
         effect = effect.with_step(moves(gain), used=errors, errors=errors, velocity_cov=NO_COV)
     np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
@@ -177,9 +177,9 @@ def test_what_is_unknown_of_the_velocity_moves_the_pose_of_its_frame_only() -> N
     cov = root @ root.T
     effect = CalibrationEffect.none()
     for _ in range(2):
-        effect = effect.carried_to_new(-1, np.eye(4))
+        effect = effect.with_new_frame(-1, np.eye(4))
         effect = effect.with_step(CommonMode.none(), used=errors, errors=errors, velocity_cov=cov)
-    effect = effect.carried_to_new(-1, np.eye(4))
+    effect = effect.with_new_frame(-1, np.eye(4))
     np.testing.assert_allclose(effect.of_pose(2), 0.5 * cov)
     np.testing.assert_allclose(effect.of_pose(3), 0.0)
     np.testing.assert_allclose(effect.between(2, 1, np.eye(6)), cov)

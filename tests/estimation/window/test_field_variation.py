@@ -24,7 +24,7 @@ def test_the_covariance_is_that_of_fields_that_change() -> None:
         fresh = sigma_px * rng.normal(size=field.shape)
         field = decay * field + np.sqrt(1.0 - decay**2) * fresh
         error = error @ adjoint.T + field @ gain.T
-        variation = variation.carried_to_new(-1, FORWARD).with_step(gain)
+        variation = variation.with_new_frame(-1, FORWARD).with_step(gain)
     sampled = error.T @ error / len(error)
     claimed = variation.of_pose(-1, SIGMA_PX)
     sigma = np.sqrt(np.diagonal(claimed))
@@ -40,7 +40,7 @@ def test_it_does_not_cancel_on_the_way_back() -> None:
     ahead = np.eye(4)
     variation = FieldVariation.none()
     for sign in (1.0,) * 40 + (-1.0,) * 40:
-        variation = variation.carried_to_new(-1, ahead).with_step(sign * gain)
+        variation = variation.with_new_frame(-1, ahead).with_step(sign * gain)
     there = variation.of_pose(40, SIGMA_PX)[2, 2]
     back = variation.of_pose(80, SIGMA_PX)[2, 2]
     assert back > 1.5 * there
@@ -48,5 +48,5 @@ def test_it_does_not_cancel_on_the_way_back() -> None:
 
 def test_a_field_of_nothing_moves_nothing() -> None:
     gain = np.ones((6, NUM_COEFFICIENTS))
-    variation = FieldVariation.none().carried_to_new(-1, FORWARD).with_step(gain)
+    variation = FieldVariation.none().with_new_frame(-1, FORWARD).with_step(gain)
     assert not variation.of_pose(-1, 0.0).any()

@@ -67,7 +67,7 @@ class PathSensitivity(NamedTuple):
         """Select some frames, or one."""
         return PathSensitivity._make(part[frames] for part in self)
 
-    def carried_to_new(self, prev: int, adjoint: FloatArray) -> PathSensitivity:
+    def with_new_frame(self, prev: int, adjoint: FloatArray) -> PathSensitivity:
         """Append a frame that has what another has, in its own axes."""
         return PathSensitivity._make(
             np.concatenate([part, (adjoint @ part[prev])[None]]) for part in self
@@ -129,12 +129,12 @@ class CalibrationEffect:
             velocity_cov=self.velocity_cov[frames],
         )
 
-    def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> CalibrationEffect:
+    def with_new_frame(self, prev: int, T_curr_prev: FloatArray) -> CalibrationEffect:
         """Return the effect with one more frame, whose motion from another, [4, 4], adds none."""
         return replace(
             self,
-            path=self.path.carried_to_new(prev, se3.adjoint(T_curr_prev)),
-            variation=self.variation.carried_to_new(prev, T_curr_prev),
+            path=self.path.with_new_frame(prev, se3.adjoint(T_curr_prev)),
+            variation=self.variation.with_new_frame(prev, T_curr_prev),
             velocity_cov=np.concatenate([self.velocity_cov, np.zeros((1, POSE, POSE))]),
         )
 

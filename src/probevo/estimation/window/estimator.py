@@ -16,7 +16,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.motion_correction import Shares
+from probevo.estimation.motion_correction import CovarianceIntersection
 from probevo.estimation.motion_estimate import MAX_UNKNOWN, Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
@@ -67,7 +67,7 @@ class WindowEstimator:
         motion: RelativePose,
         *,
         velocity: ConstantVelocity | None = None,
-        shares: Shares | None = None,
+        intersection: CovarianceIntersection | None = None,
         measurements: Sequence[Measurement] = (),
         found_again: SolvedTracks | None = None,
     ) -> Window:
@@ -84,7 +84,7 @@ class WindowEstimator:
                 dead-reckoned one may start at an earlier frame.
             velocity: constant velocity over the last two steps; it counts where the features leave
                 a direction of the motion open.
-            shares: how the features and their corrected motion share the information of their
+            intersection: how features and their corrected motion share the information of their
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
             found_again: tracks from the last frame before dead reckoning, which see it again; None
@@ -95,11 +95,16 @@ class WindowEstimator:
         features = self._features_of(step)
         if visual.status is not Status.OK or features is None:
             return self._without_solve(
-                window, step, motion, velocity=velocity, shares=shares, measurements=measurements
+                window,
+                step,
+                motion,
+                velocity=velocity,
+                intersection=intersection,
+                measurements=measurements,
             )
         tracks, noise = features
-        if shares is not None:
-            noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
+        if intersection is not None:
+            noise = noise.scaled(intersection.of_features(visual.weights[visual.used]))
         if solved.jitter_cov is not None:
             window = replace(window, jitter_cov=solved.jitter_cov)
         after = self.with_features(
@@ -108,7 +113,7 @@ class WindowEstimator:
             noise,
             two_frames=motion,
             measurements=measurements,
-            motion_factor=None if shares is None else shares.motion,
+            motion_factor=None if intersection is None else intersection.motion,
             found_again=found_again,
         )
         if solved.corrected.rig is None or solved.rig is None:
@@ -129,7 +134,7 @@ class WindowEstimator:
         motion: RelativePose,
         *,
         velocity: ConstantVelocity | None,
-        shares: Shares | None,
+        intersection: CovarianceIntersection | None,
         measurements: Sequence[Measurement],
     ) -> Window:
         """Return the window after a step without an accepted solve; see ``with_step``."""
@@ -137,11 +142,11 @@ class WindowEstimator:
         # Features may show a part of the motion, and the velocity before the rest; at the start,
         # the prior of the motion model stands in for that.
         known = velocity or motion
-        if shares is None and step.solved.visual.is_weak and known.prev_frame == step.prev:
+        if intersection is None and step.solved.visual.is_weak and known.prev_frame == step.prev:
             weak = self._with_weak_features(window, step, known=known, measurements=measurements)
             if weak is not None:
                 return weak
-        if velocity is None or shares is not None:
+        if velocity is None or intersection is not None:
             return self.without_features(window, frame, motion, measurements)
         _, last_cov = window.relative(
             window.slot(velocity.prev.frame), window.slot(velocity.before.frame)

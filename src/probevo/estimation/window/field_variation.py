@@ -58,7 +58,7 @@ class FieldVariation:
         """Return that of some of the frames."""
         return FieldVariation(self.cov[frames], self.cross[frames])
 
-    def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> FieldVariation:
+    def with_new_frame(self, prev: int, T_curr_prev: FloatArray) -> FieldVariation:
         """Return it with one more frame, whose motion from another, [4, 4], adds no error."""
         adjoint = se3.adjoint(T_curr_prev)
         decay = math.exp(-1.0 / LASTS_FRAMES)

@@ -206,7 +206,7 @@ class Inertial:
             noise_factor=noise_factor,
         )
 
-    def silent(self, reason: ImuReason | None) -> Inertial:
+    def without_measurement(self, reason: ImuReason | None) -> Inertial:
         """Return the IMU as saying nothing of the motion to the next frame, for a reason."""
         return replace(self, pending=None, prediction=None, reason=reason)
 

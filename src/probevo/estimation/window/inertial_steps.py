@@ -157,7 +157,9 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     if isinstance(factor, NoPreintegration):
         # A gyro alone predicts motions, as with two frames; nobody expects more of it.
         is_gyro = factor.reason.fault is ImuFault.NO_ACCELEROMETER and not inertial.has_measured
-        return replace(window, inertial=inertial.silent(None if is_gyro else factor.reason))
+        return replace(
+            window, inertial=inertial.without_measurement(None if is_gyro else factor.reason)
+        )
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     # Predict the next motion, once velocity, biases and gravity are known.
     prediction = None
@@ -301,7 +303,7 @@ def without_factor_if_worse(window: Window, motion: RelativePose) -> Window:
         variance = np.trace(inertial.prediction.cov[:3, :3])
         if variance < np.trace(motion.covariance[:3, :3]):
             return window
-    return replace(window, inertial=inertial.silent(UNKNOWN_VELOCITY))
+    return replace(window, inertial=inertial.without_measurement(UNKNOWN_VELOCITY))
 
 
 def without_imu(window: Window, reason: ImuReason) -> Window:

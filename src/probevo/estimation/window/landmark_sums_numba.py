@@ -32,7 +32,7 @@ from probevo.estimation.window.landmark_track_numba import (
     WindowProblem,
     share_of_own,
 )
-from probevo.estimation.window.landmark_trust_numba import Trust
+from probevo.estimation.window.landmark_weights_numba import RobustWeight
 
 # The sums for each state of ζ_k: its information with ζ_k, with ζ of the frame before and with the
 # rig, and its gradient.
@@ -62,7 +62,7 @@ def add_common(
     row: int,
     problem: WindowProblem,
     track: LinearizedTrack,
-    trust: Trust,
+    robust: RobustWeight,
     elimination: LandmarkElimination,
     equations: WindowEquations,
 ) -> None:
@@ -87,17 +87,17 @@ def add_common(
     common[3, 3] += prior
     common[3, error] -= prior * problem.landmarks.state[row, 3]
     for i in range(LANDMARK):
-        elimination.gradient[row, i] = trust.weight * common[i, error]
+        elimination.gradient[row, i] = robust.weight * common[i, error]
         for j in range(RIG):
-            elimination.rig_coupling[row, i, j] = trust.curvature * common[i, LANDMARK + j]
+            elimination.rig_coupling[row, i, j] = robust.curvature * common[i, LANDMARK + j]
     # Gradients have the IRLS weight, Hessians the curvature; of the latter, only the lower
     # triangle.
     rig0 = len(equations.gradient) - RIG
     for i in range(RIG):
-        equations.gradient[rig0 + i] += trust.weight * common[LANDMARK + i, error]
+        equations.gradient[rig0 + i] += robust.weight * common[LANDMARK + i, error]
         for j in range(i + 1):
             equations.hessian[rig0 + i, rig0 + j] += (
-                trust.curvature * common[LANDMARK + i, LANDMARK + j]
+                robust.curvature * common[LANDMARK + i, LANDMARK + j]
             )
 
 
@@ -106,7 +106,7 @@ def add_motions(
     row: int,
     problem: WindowProblem,
     track: LinearizedTrack,
-    trust: Trust,
+    robust: RobustWeight,
     factors: FloatArray,
     sums: FloatArray,
     equations: WindowEquations,
@@ -123,7 +123,7 @@ def add_motions(
         row: the landmark.
         problem: all of them.
         track: its observations.
-        trust: its weights.
+        robust: its robust weight.
         factors: work space, [4, 24].
         sums: receives the sums over frame and anchor, [K, K, 9, 24] (``add_pairs``).
         equations: receives what is not in the sums.
@@ -145,10 +145,10 @@ def add_motions(
             diagonal += from_next
         for n in range(PIXELS):
             for j in range(FRAME):
-                factors[n, j] = trust.curvature * diagonal * white[n, j]
+                factors[n, j] = robust.curvature * diagonal * white[n, j]
             for j in range(RIG):
-                factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
-            factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, COMMON_COLUMNS - 1]
+                factors[n, _WITH_RIG + j] = robust.curvature * track.weighted[k, n, LANDMARK + j]
+            factors[n, _GRADIENT] = robust.weight * track.weighted[k, n, COMMON_COLUMNS - 1]
         # With the observation before, −ρ/(1 + ρ) times the white columns of both: in the sums, if
         # that is of the frame before.
         slot = problem.observations.slot[first + k]
@@ -157,14 +157,14 @@ def add_motions(
         for n in range(PIXELS):
             for j in range(FRAME):
                 prev = track.white[k - 1, n, j] if k > 0 and is_next else 0.0
-                factors[n, _WITH_PREV + j] = trust.curvature * off_diagonal * prev
+                factors[n, _WITH_PREV + j] = robust.curvature * off_diagonal * prev
         if not is_next:
             cross = np.zeros((FRAME, FRAME))
             for n in range(PIXELS):
                 for i in range(FRAME):
                     for j in range(FRAME):
                         product = white[n, i] * track.white[k - 1, n, j]
-                        cross[i, j] += trust.curvature * off_diagonal * product
+                        cross[i, j] += robust.curvature * off_diagonal * product
             adjoints = problem.adjoints
             _add_neighbours(
                 slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations

@@ -56,7 +56,7 @@ def with_new_pose(window: Window, frame: int, T_curr_prev: FloatArray, *, prev: 
         T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
         T_linear=np.concatenate([window.T_linear, T_new[None]]),
         is_blind=np.append(window.is_blind, True),
-        calibration_effect=window.calibration_effect.carried_to_new(prev, T_curr_prev),
+        calibration_effect=window.calibration_effect.with_new_frame(prev, T_curr_prev),
         jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
         prior=with_pose(window.prior),
     )

@@ -1,7 +1,7 @@
 """Compiled normal equations of a window; each landmark is eliminated as soon as it is added up.
 
 For each landmark: its observations are linearised (``landmark_track_numba``), it is weighed
-(``landmark_trust_numba``), and what it says of frames and rig is added up without it
+(``landmark_weights_numba``), and what it says of frames and rig is added up without it
 (``landmark_sums_numba``). Once frames and rig have moved, the landmarks follow.
 """
 
@@ -38,11 +38,11 @@ from probevo.estimation.window.landmark_track_numba import (
     linearize_track,
     window_problem,
 )
-from probevo.estimation.window.landmark_trust_numba import (
+from probevo.estimation.window.landmark_weights_numba import (
     TESTED,
     VELOCITY,
+    robust_weight_of,
     static_weight,
-    trust_of,
     velocity_squared,
 )
 
@@ -92,12 +92,12 @@ def accumulate(
     # elimination of the landmark takes away.
     for row in range(len(landmarks.state)):
         squared = linearize_track(row, problem, track)
-        trust = trust_of(row, problem, squared)
-        cost += trust.cost
-        add_common(row, problem, track, trust, elimination, equations=equations)
-        add_motions(row, problem, track, trust, factors, sums=sums, equations=equations)
-        couple(row, problem, track, trust.curvature, elimination.coupling)
-        factor_information(trust.curvature, track.common, work, elimination.inverse[row])
+        robust = robust_weight_of(row, problem, squared)
+        cost += robust.cost
+        add_common(row, problem, track, robust, elimination, equations=equations)
+        add_motions(row, problem, track, robust, factors, sums=sums, equations=equations)
+        couple(row, problem, track, robust.curvature, elimination.coupling)
+        factor_information(robust.curvature, track.common, work, elimination.inverse[row])
         eliminate(row, problem, work, elimination=elimination, equations=equations)
     # From motions between anchor and frame to the poses of both.
     add_pairs(sums, problem.adjoints, equations)

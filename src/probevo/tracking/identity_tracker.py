@@ -11,7 +11,7 @@ from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
 
-class FeatureMatcher:
+class IdentityTracker:
     """Joins the features of consecutive frames by identity; an ``ImageTracker`` without images."""
 
     def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:

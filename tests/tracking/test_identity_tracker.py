@@ -5,7 +5,7 @@ import pytest
 
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking import FeatureMatcher, TrackingState, Tracks, tracker_for
+from probevo.tracking import IdentityTracker, TrackingState, Tracks, tracker_for
 from worlds import CAMERA
 
 
@@ -20,7 +20,7 @@ def frame(index: int, *ids: int) -> Frame:
 
 def follow(*frames: Frame) -> Tracks:
     """Return the tracks of the last frame."""
-    matcher = FeatureMatcher()
+    matcher = IdentityTracker()
     state = TrackingState.none()
     tracks = Tracks.none()
     for each in frames:
@@ -67,7 +67,7 @@ def test_one_feature_is_one_track() -> None:
 
 
 def test_dropping_leaves_the_file_in_charge() -> None:
-    matcher = FeatureMatcher()
+    matcher = IdentityTracker()
     first = matcher.track(TrackingState.none(), frame(0, 1, 2), np.eye(4))
     remaining = first.state.without(np.array([1]))
     assert matcher.track(remaining, frame(1, 1, 2), np.eye(4)).tracks.ids.tolist() == [1, 2]
@@ -75,8 +75,8 @@ def test_dropping_leaves_the_file_in_charge() -> None:
 
 def test_a_frame_of_images_is_refused() -> None:
     with pytest.raises(ValueError, match="frame 3 has no features"):
-        FeatureMatcher().track(TrackingState.none(), Frame(3, 0), np.eye(4))
+        IdentityTracker().track(TrackingState.none(), Frame(3, 0), np.eye(4))
 
 
 def test_frames_with_features_get_this_tracker() -> None:
-    assert isinstance(tracker_for(frame(0, 1), CAMERA, TrackingConfig()), FeatureMatcher)
+    assert isinstance(tracker_for(frame(0, 1), CAMERA, TrackingConfig()), IdentityTracker)

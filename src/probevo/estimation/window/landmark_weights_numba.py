@@ -1,18 +1,18 @@
-"""How far a window trusts a landmark: by how well it fits, and by whether it stands still.
+"""The robust weight of a landmark: by how well it fits, and by whether it stands still.
 
-A landmark is trusted as a whole. With K observations and a prior variance τ² of δ, the sum s = eᵀ
-Σ⁻¹ e + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All its
-observations share one unknown factor of scale, as those of a Student-t in n dimensions do, and so
-the weight (ν + n)/(ν + s). Weights of single observations would trust a landmark that its fit to
-two observations has made look perfect: in Monte Carlo, covariances were then five times too small.
+All observations of a landmark have one weight. With K observations and a prior variance τ² of δ,
+the sum s = eᵀ Σ⁻¹ e + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All of them
+share one unknown factor of scale, as those of a Student-t in n dimensions do, and so the weight
+(ν + n)/(ν + s). With a weight for each observation, a landmark would look perfect that was fitted
+to two of them: in Monte Carlo, covariances were then five times too small.
 
 A car or a person that moves is no landmark. Its track contradicts the motion of the camera by c t,
 with t the frames since the anchor, which may be less than the noise in each frame, so that s hardly
 shows it. So each landmark is tested for a velocity c of (u, v, d) in the image (a score test, Rao
 1948). With its white derivatives L by its four states and C by c, of which the part in the span of
 L is projected out, and its white errors e, a velocity explains s_c = eᵀ C (Cᵀ C)⁻¹ Cᵀ e of s. That
-has three degrees of freedom if the landmark stands still. Where it is larger, the landmark is
-trusted less, by the weight that the loss has for three errors, (ν + 3)/(ν + s_c). So is a feature
+has three degrees of freedom if the landmark stands still. Where it is larger, the weight is
+multiplied by that which the loss has for three errors, (ν + 3)/(ν + s_c). So it is for a feature
 that slides along an edge.
 """
 
@@ -50,8 +50,8 @@ own states, so that the Hessian along these is the weight, and steps with less t
 diverge. The mean curvature is less where there is one observation, with one degree of freedom."""
 
 
-class Trust(NamedTuple):
-    """How far a landmark is trusted."""
+class RobustWeight(NamedTuple):
+    """The weight of a landmark under the robust loss, with cost and curvature."""
 
     cost: float
     """Of all its observations, nats."""
@@ -65,7 +65,7 @@ class Trust(NamedTuple):
 
 
 @compiled_into_callers
-def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
+def robust_weight_of(row: int, problem: WindowProblem, squared: float) -> RobustWeight:
     """Weigh a landmark by how well it fits all its observations, eᵀ Σ⁻¹ e."""
     observations = problem.observations
     loss = problem.noise.loss
@@ -82,13 +82,13 @@ def trust_of(row: int, problem: WindowProblem, squared: float) -> Trust:
         # With s = rᵀ r, the cost ½ (ν + n) log(1 + s/ν) has the Hessian w (I − 2 r rᵀ/(ν + s)) in
         # the white residual r. The curvature is the mean of its n eigenvalues, if that is enough.
         share = 1.0 - 2.0 / free * total / (parameter + total)
-        return Trust(
+        return RobustWeight(
             cost=static_weight * 0.5 * (parameter + free) * math.log1p(total / parameter),
             weight=static_weight * weight,
             curvature=static_weight * weight * max(MIN_CURVATURE, share),
         )
     scale = free / PIXELS
-    return Trust(
+    return RobustWeight(
         cost=static_weight * scale * robust_cost(loss, parameter, total / scale),
         weight=static_weight * weight,
         curvature=static_weight * robust_curvature(loss, parameter, total / scale, dimension=free),
