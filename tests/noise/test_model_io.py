@@ -97,21 +97,6 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
     assert again.read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize(("name", "base"), [("fixed", Fixed()), ("student-t", StudentT())])
-def test_a_file_that_only_names_its_base_has_the_default_one(
-    path: Path, name: str, base: Fixed | StudentT
-) -> None:
-    """Earlier versions wrote such files."""
-    model = trained(base=base)
-    file = model.to_file()
-    arrays = {key: array for key, array in file.arrays.items() if not key.startswith("base_")}
-    write_model_file(path, ModelFile(file.kind, arrays, {**file.facts, "base": {"name": name}}))
-    back = load_model(path)
-    assert isinstance(back, NearestNeighbors)
-    assert type(back.base) is type(base)
-    np.testing.assert_array_equal(back.predict(places()).scale, model.predict(places()).scale)
-
-
 def test_it_is_found_by_its_path(path: Path) -> None:
     save_model(trained(), path)
     model = noise_model(str(path))

@@ -103,14 +103,6 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
         replace("calib.yaml", "T_cam_imu", "T_cam"),
         ["calib.yaml", "imu.T_cam_imu is missing"],
     ),
-    "C_cam_imu of earlier versions": (
-        replace("calib.yaml", "T_cam_imu:", "C_cam_imu:"),
-        ["calib.yaml: imu.C_cam_imu", "T_cam_imu", "zero position", "fourth column"],
-    ),
-    "C_cam_imu with a time offset": (
-        replace("calib.yaml", "T_cam_imu:", "time_offset_s: 0.01\n  C_cam_imu:"),
-        ["calib.yaml: imu.C_cam_imu", "T_cam_imu", "reverse the sign of time_offset_s"],
-    ),
     "accelerometer noise negative": (
         append("calib.yaml", "  accel_noise_m_s2_sqrt_hz: -1.0"),
         ["calib.yaml", "imu.accel_noise_m_s2_sqrt_hz", "greater than 0"],

@@ -168,7 +168,7 @@ def _check_method(method: Method) -> None:
 
 
 def _check_epochs(facts: Mapping[str, Any]) -> None:
-    """Refuse numbers of epochs that contradict each other; older files have none.
+    """Refuse numbers of epochs that contradict each other; both may be absent.
 
     Raises:
         ValueError: says which.

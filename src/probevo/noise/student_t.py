@@ -186,5 +186,4 @@ class _Facts(OriginFacts):
     """JSON has no infinity."""
     refers_to: RefersTo
     time_correlation_ratio: float = Field(0.0, ge=0, le=1e6)
-    scale_is_relative: bool | None = None
-    """Older files do not state it."""
+    scale_is_relative: bool

@@ -173,8 +173,7 @@ def write_motions(path: Path, result: RunResult) -> None:
 def read_motions(path: Path | str) -> RunResult:
     """Read a run back as it was, without its smoothed path.
 
-    Files of versions that did not store the path have the one that the motions add up to, and no
-    use of sensors.
+    A file without a path of its own has the one that the motions add up to.
 
     Args:
         path: a ``motions.npz``, or the folder of a run.
@@ -202,9 +201,6 @@ def read_motions(path: Path | str) -> RunResult:
     T_world_cam = _compounded(T_curr_prev, n)
     if "T_world_cam" in arrays:
         T_world_cam = _take(path, arrays, "T_world_cam", shape=(n, 4, 4))
-    path_cross_cov: AnyArray = np.zeros((steps, 6, 6))
-    if "path_cross_cov" in arrays:
-        path_cross_cov = _take(path, arrays, "path_cross_cov", shape=(steps, 6, 6))
     rejected = _counts(path, arrays, _REJECTED)
     return RunResult(
         stamps_ns=arrays["stamps_ns"],
@@ -212,7 +208,7 @@ def read_motions(path: Path | str) -> RunResult:
         T_curr_prev=T_curr_prev,
         cov=cov,
         common_mode=_take(path, arrays, "common_mode", shape=(steps, 6, COMMON_MODE_COLUMNS)),
-        path_cross_cov=path_cross_cov,
+        path_cross_cov=_take(path, arrays, "path_cross_cov", shape=(steps, 6, 6)),
         status=_take(path, arrays, "status", shape=(steps,)),
         num_tracks=_take(path, arrays, "num_tracks", shape=(steps,)),
         num_inliers=_take(path, arrays, "num_inliers", shape=(steps,)),

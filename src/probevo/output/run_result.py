@@ -135,22 +135,21 @@ class RunResult:
     rejected: dict[str, int] = field(default_factory=dict)
     """Number of candidate points that each consistency check rejected, by the check's name."""
     num_used: IntArray | None = None
-    """Tracks used in the solve, [N-1]; None in files of versions that did not store it."""
+    """Tracks used in the solve, [N-1]; None if it is not known."""
     num_out_of_domain: IntArray | None = None
     """Tracks used that are outside of the noise model's domain, [N-1]; None if it has none."""
     noise_factor: FloatArray | None = None
-    """Factor of the noise model's variances in each step, [N-1] (``NoiseScale``); None in files of
-    versions that did not store it."""
+    """Factor of the noise model's variances in each step, [N-1] (``NoiseScale``); None if it is not
+    known."""
     cov_cam_world: FloatArray | None = None
     """Covariance of the left perturbation of T_cam_world of each frame, [N, 6, 6], m and rad, where
-    sensors have corrected the poses (``MotionEstimate.cov_cam_world``); None without sensors, and
-    in files of versions that did not store it."""
+    sensors have corrected the poses (``MotionEstimate.cov_cam_world``); None without sensors."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
     smoothed_cov: FloatArray | None = None
     """Covariance of the left perturbation of T_cam_world of these, [N, 6, 6], m and rad; None for
-    the two-frame estimator, and in files of versions that did not store it."""
+    the two-frame estimator."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None
@@ -158,13 +157,13 @@ class RunResult:
     are off in each frame, as estimated at the end, [3]; None without self-calibration."""
     row_errors: RowErrors | None = None
     """How far the rows of the right images are off, as estimated at the end; None without
-    self-calibration, and in files of versions that did not store it."""
+    self-calibration."""
     fixed_features: FixedFeatures | None = None
     """Features that stayed where they are although the motion should have moved them; None without
-    any, and in files of versions that did not store it."""
+    any."""
     steps_at_rest: StepsAtRest | None = None
-    """Steps whose motion leaves its features where they are, and what moves in them; None in files
-    of versions that did not store it."""
+    """Steps whose motion leaves its features where they are, and what moves in them; None if that
+    is not known."""
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""
@@ -184,7 +183,7 @@ class RunResult:
     """Why the window did not use the IMU at the end of the run, the most frequent reason since it
     was last used; None if it did, or there was none."""
     imu_fault: ImuFault | None = None
-    """What kind of reason that is; None also in files of versions that did not store it."""
+    """What kind of reason that is."""
     imu_unused_from: int | None = None
     """Index of the first frame after the window last used the IMU; None if it did at the end, or
     never."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.geometry import se3
+from probevo.camera.transfer import transfer
 from probevo.tracking.tracks import Tracks
 
 STILL_PX = 0.5
@@ -22,9 +22,6 @@ standard deviations of a tracked place."""
 MIN_SHIFT_PX = 3.0
 """A feature should have moved if the motion shifts it by this at least in the left image: six times
 as far as it may, so that no error of a motion that is about right makes a feature fixed."""
-
-MIN_DISPARITY_PX = 1e-3
-"""Disparity of a point that is as good as at infinity."""
 
 
 class FixedFeatures(NamedTuple):
@@ -147,10 +144,7 @@ def shifts_px(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> 
     """
     # What has no disparity, as an overlay in both images, is shifted like a point at infinity.
     before_px = tracks.prev_px.copy()
-    before_px[:, 2] = np.minimum(before_px[:, 2], before_px[:, 0] - MIN_DISPARITY_PX)
-    points = se3.transform(T_curr_prev, camera.triangulate(before_px))
-    is_ahead = points[:, 2] > 0.0
-    after_px = camera.project(points[is_ahead])
-    shift_px = np.zeros(len(tracks))
-    shift_px[is_ahead] = np.linalg.norm(after_px[:, :2] - before_px[is_ahead, :2], axis=1)
-    return shift_px
+    before_px[:, 2] = np.minimum(before_px[:, 2], before_px[:, 0])
+    after_px = transfer(before_px, T_curr_prev, camera)
+    shift_px = np.linalg.norm(after_px[:, :2] - before_px[:, :2], axis=1)
+    return np.where(np.isnan(shift_px), 0.0, shift_px)

@@ -1,7 +1,6 @@
 """The static model whose noise PROBE scales, as the file of a PROBE model keeps it.
 
-Both kinds are stored as a Student-t, which a Gaussian is for ν = ∞. Files of earlier versions name
-the kind only; its parameters are then the default ones.
+Both kinds are stored as a Student-t, which a Gaussian is for ν = ∞.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ class BaseFacts(Settings):
     """The facts that the file of a PROBE model states about its base."""
 
     name: Literal["fixed", "student-t"]
-    student_t: dict[str, Any] | None = None
-    """Facts of the Student-t that its noise is; None in files of earlier versions."""
+    student_t: dict[str, Any]
+    """Facts of the Student-t that its noise is."""
 
 
 def base_parts(base: NoiseModel) -> tuple[dict[str, AnyArray], dict[str, Any]]:
@@ -60,8 +59,6 @@ def base_from_parts(facts: BaseFacts, arrays: Mapping[str, AnyArray]) -> Fixed |
     Raises:
         KeyError, ValueError, InputError: the file does not hold such a model.
     """
-    if facts.student_t is None:
-        return Fixed() if facts.name == "fixed" else StudentT()
     own = {
         key.removeprefix(PREFIX): array for key, array in arrays.items() if key.startswith(PREFIX)
     }

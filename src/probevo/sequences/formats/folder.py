@@ -352,8 +352,7 @@ def _read_calibration(path: Path) -> FolderCalibration:
     """Read ``calib.yaml``.
 
     Raises:
-        InputError: it is missing, no YAML, has a missing, unknown or wrong key, or the IMU's
-            rotation of earlier versions instead of its transform.
+        InputError: it is missing, no YAML, or has a missing, unknown or wrong key.
     """
     cure = (
         "Its keys are fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px and, optionally,"
@@ -361,17 +360,6 @@ def _read_calibration(path: Path) -> FolderCalibration:
         " elsewhere."
     )
     content = load_yaml(path, cure)
-    section = content.get("imu") if isinstance(content, dict) else None
-    if isinstance(section, dict) and "C_cam_imu" in section:
-        what = "this rotation has been replaced by T_cam_imu, the whole transform p_cam ← p_imu."
-        imu_cure = (
-            "Write T_cam_imu instead: four rows of four, the rotation C_cam_imu with the position"
-            " of the IMU in the camera's frame, m, as fourth column and 0 0 0 1 as fourth row; a"
-            " zero position means what C_cam_imu meant."
-        )
-        if "time_offset_s" in section:
-            imu_cure += " And reverse the sign of time_offset_s: it is t_imu − t_cam, as Kalibr's."
-        raise InputError(f"{path}: imu.C_cam_imu", what, imu_cure)
     return validated(content, FolderCalibration, path, cure)
 
 
