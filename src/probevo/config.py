@@ -122,12 +122,6 @@ class RansacConfig(Settings):
         ),
     )
 
-    @model_validator(mode="after")
-    def _check_rotation(self) -> Self:
-        if self.mode == "off" and self.rotation_from == "gyro":
-            raise ValueError("rotation_from gyro is for samples, and mode off draws none")
-        return self
-
 
 class SolverConfig(Settings):
     """Settings of the nonlinear least-squares solve, and of the checks on its result."""
@@ -295,13 +289,6 @@ class NorthConfig(Settings):
         description="Standard deviation of the first camera's tilt; in a car it is within 1 to 2.",
     )
 
-    @model_validator(mode="after")
-    def _check_heading(self) -> Self:
-        is_changed = self.heading_sigma_deg != type(self).model_fields["heading_sigma_deg"].default
-        if self.heading_deg is None and is_changed:
-            raise ValueError("heading_sigma_deg is that of heading_deg: give that, too")
-        return self
-
 
 class OdometryConfig(Settings):
     """The settings of ``StereoOdometry``."""
@@ -346,9 +333,16 @@ class OdometryConfig(Settings):
         )
 
     @model_validator(mode="after")
-    def _check_gyro_prior(self) -> Self:
+    def _check_combinations(self) -> Self:
         if self.gyro.prior and self.solver.method == "alignment":
             raise ValueError(
                 "gyro.prior needs solver.method reprojection: the alignment takes no prior"
             )
+        if self.ransac.rotation_from == "gyro" and self.ransac.mode == "off":
+            raise ValueError(
+                "ransac.rotation_from gyro is for samples, and ransac.mode off draws none"
+            )
+        is_default = self.north.heading_sigma_deg == NorthConfig().heading_sigma_deg
+        if self.north.heading_deg is None and not is_default:
+            raise ValueError("north.heading_sigma_deg is that of north.heading_deg: give both")
         return self
