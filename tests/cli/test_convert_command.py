@@ -59,12 +59,17 @@ def test_kitti_raw_with_its_imu_becomes_a_folder(tmp_path: Path) -> None:
     assert open_sequence(tmp_path / "folder").imu is not None
 
 
-def test_a_folder_keeps_the_readout_of_its_shutter(tmp_path: Path) -> None:
+def test_a_folder_keeps_the_readout_of_its_shutter_and_a_bag_says_that_it_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     original = write_folder_sequence(tmp_path / "original", imu=False)
     with (original / "calib.yaml").open("a") as file:
         file.write("readout_s: 0.025\n")
     assert main(["convert", str(original), "--out", str(tmp_path / "folder")]) == 0
     assert open_sequence(tmp_path / "folder").camera.readout_s == 0.025
+    assert "readout" not in capsys.readouterr().out
+    assert main(["convert", str(original), "--out", str(tmp_path / "a.mcap")]) == 0
+    assert "The readout time of the shutter has no place in a bag" in capsys.readouterr().out
 
 
 @pytest.mark.data
