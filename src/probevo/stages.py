@@ -110,4 +110,8 @@ class Solved:
     def observations(self) -> FrameObservations:
         """The raw observations, with the noise that was predicted for those used."""
         observations = self.observed.tracked.state.observations(self.prediction.frame)
-        return replace(observations, noise=self.visual.noise)
+        return replace(
+            observations,
+            noise=self.visual.noise,
+            noise_landmarks=self.tracks.ids[self.visual.used],
+        )

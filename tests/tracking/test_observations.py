@@ -51,5 +51,6 @@ def test_the_odometry_stores_what_was_measured_not_what_was_corrected() -> None:
         rows = [place[landmark] for landmark in each.landmarks.tolist()]
         np.testing.assert_array_equal(each.pixels, features.pixels[rows])
     last = state.observations.frames[-1]
+    np.testing.assert_array_equal(last.noise_landmarks, odometry.tracks.ids[odometry.used])
     assert last.noise is not None
     assert len(last.noise.dof) == odometry.used.sum()

@@ -113,8 +113,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
                 what = "this is a noise model, not a network."
                 raise InputError(path, what, "Give it with --noise.")
             entry = json.loads(metadata[FORMAT])
-            # The version comes first: another format may have other keys. Before the first, there
-            # was none.
+            # The version comes first: another format may have other keys. A file without a version
+            # is older than the first.
             version = entry.get("version", 0)
             if version != VERSION:
                 what = f"it has format {version}, and this version of probevo reads {VERSION}."

@@ -27,8 +27,9 @@ class FrameObservations:
     pixels: FloatArray
     """Raw (u_l, v_l, u_r, v_r), [N, 4], px."""
     noise: StereoNoise | None = None
-    """Noise of those that the solve used, at the time of this frame; None where none was
-    predicted."""
+    """Noise of the M that the solve used, as predicted for this frame; None where none was."""
+    noise_landmarks: IntArray | None = None
+    """Identity of each of these, [M]."""
 
 
 @dataclass(frozen=True)
