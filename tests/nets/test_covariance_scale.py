@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, multivariate_normal
 
-from probevo.geometry.uncertainty import squared_distances
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.nets.covariance_scale import (
     covariance_scale,
     coverage,
@@ -65,4 +65,4 @@ def test_the_likelihood_lacks_the_constant_alone(
 
 def test_distances_are_in_units_of_sigma() -> None:
     covariance = np.diag([4.0, 9.0, 1.0])[None]
-    assert squared_distances(np.array([[2.0, 3.0, 0.0]]), covariance) == pytest.approx(2.0)
+    assert squared_mahalanobis(np.array([[2.0, 3.0, 0.0]]), covariance) == pytest.approx(2.0)

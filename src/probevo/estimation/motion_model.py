@@ -13,6 +13,7 @@ from probevo.estimation.acceleration_scale import AccelerationScale
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.geometry import se3, so3
 from probevo.geometry.se3_numba import perturb
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.relative_rotation import RelativeRotation
 
 INNOVATION_GATE = 27.86
@@ -138,7 +139,7 @@ class MotionPrediction:
         """Return the squared Mahalanobis distance of the prediction from a motion [4, 4] with
         covariance [6, 6], whose error is independent."""
         innovation = self.innovation(T_curr_prev)
-        return float(innovation @ np.linalg.solve(self.cov + cov, innovation))
+        return float(squared_mahalanobis(innovation, self.cov + cov))
 
 
 @dataclass(frozen=True)

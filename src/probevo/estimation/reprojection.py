@@ -12,6 +12,7 @@ from probevo.arrays import FloatArray
 from probevo.estimation import levenberg_marquardt
 from probevo.estimation.scaled_inverse import inverse_or_nan
 from probevo.geometry import se3
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.base import Measurement
 from probevo.measurements.jitter_numba import AXES, DOF
 from probevo.measurements.point_priors import PointPrior
@@ -105,7 +106,7 @@ class ReprojectionSolution:
     def exceeds_noise(self) -> bool:
         """Whether the motion is much more than its noise (``MIN_MOTION``)."""
         xi = se3.log(self.T_curr_prev)
-        return bool(xi @ np.linalg.solve(self.cov, xi) > MIN_MOTION)
+        return bool(squared_mahalanobis(xi, self.cov) > MIN_MOTION)
 
     @property
     def full_jacobian(self) -> FloatArray:

@@ -39,6 +39,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.base import Measurement
 from probevo.measurements.north import NORTH, ORIGIN
 from probevo.measurements.position import VAGUENESS, Position
@@ -420,7 +421,7 @@ def _innovation_squared(
     if NORTH in measurement.variables and not pose_filter.knows_heading:
         return None
     innovation, covariance = pose_filter.innovation(measurement, pose)
-    return float(innovation @ np.linalg.solve(covariance, innovation))
+    return float(squared_mahalanobis(innovation, covariance))
 
 
 def _tested_with_offset(
@@ -511,8 +512,8 @@ def _suspects(
         # exceeded.
         offset = values[variable]
         cov = memory.with_offset.joint_cov[at, at]
-        squared = float(offset @ np.linalg.solve(cov, offset))
-        claimed = float(offset @ np.linalg.solve(measurement.covariance, offset))
+        squared = float(squared_mahalanobis(offset, cov))
+        claimed = float(squared_mahalanobis(offset, measurement.covariance))
         ratio = squared / float(chdtri(len(offset), OFFSET_TAIL))
         if ratio > 1.0 and claimed > 1.0:
             size = float(np.linalg.norm(offset))
@@ -632,6 +633,6 @@ def motion_innovations(
         # Tested with its own covariance R, not with that over the weight.
         of_rig = jacobian @ common_mode
         innovation_cov = R + spread + of_rig @ of_rig.T
-        squared = float(innovation @ np.linalg.solve(innovation_cov, innovation))
+        squared = float(squared_mahalanobis(innovation, innovation_cov))
         found[-1] = SensorInnovation(squared, weight)
     return found

@@ -17,7 +17,7 @@ from scipy.special import bdtr, bdtrik, chdtr, chdtri, fdtr
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.geometry.uncertainty import normalized_error_squared, squared_mahalanobis
 
 if TYPE_CHECKING:
     from probevo.noise import StereoNoise
@@ -81,8 +81,7 @@ def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, flo
         residuals: e, [N, 4], px.
     """
     # Squared Mahalanobis distance of each feature, [N].
-    error = (residuals - noise.bias)[..., None]
-    squared = (error.mT @ np.linalg.solve(noise.scale, error))[:, 0, 0]
+    squared = squared_mahalanobis(residuals - noise.bias, noise.scale)
     # Probability of an ellipsoid that ends at the error of each feature, [N].
     is_gaussian = np.isinf(noise.dof)
     finite_dof = np.where(is_gaussian, 1.0, noise.dof)

@@ -94,12 +94,20 @@ def normalized_error_squared(
         numpy.linalg.LinAlgError: a covariance is singular, as is that of a first frame.
     """
     xi = se3.log(T_true @ se3.inverse(T_estimated))
-    return squared_distances(xi, cov)
+    return squared_mahalanobis(xi, cov)
 
 
-def squared_distances(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Return φᵀ Σ⁻¹ φ, [...], of errors [..., d] and covariances [..., d, d]."""
-    # Σ⁻¹ φ, [..., d]
+def squared_mahalanobis(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distances eᵀ Σ⁻¹ e, [...], of errors e, [..., d].
+
+    Args:
+        errors: [..., d].
+        covariances: Σ, [..., d, d].
+
+    Raises:
+        numpy.linalg.LinAlgError: a covariance is singular.
+    """
+    # Σ⁻¹ e, [..., d]
     weighted = np.linalg.solve(covariances, errors[..., None])[..., 0]
     distances: FloatArray = np.sum(errors * weighted, axis=-1)
     return distances

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.arguments import as_array
 from probevo.measurements.base import Linearization, Outcome
 from probevo.measurements.variables import Values, Variable, dimension, retract
@@ -124,7 +125,7 @@ class VectorMeasurement(ABC):
         innovation = self.residual(values)
         jacobian = self.jacobians(values)[self.variables.index(of)]
         innovation_cov = self.covariance + jacobian @ covariance @ jacobian.T
-        return float(innovation @ np.linalg.solve(innovation_cov, innovation))
+        return float(squared_mahalanobis(innovation, innovation_cov))
 
     def weighed(self, values: Values, covariance: FloatArray, *, of: Variable) -> Self:
         """Return the same measurement, if its loss is ``bounded``, with the weight that this loss

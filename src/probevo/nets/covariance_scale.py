@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-from probevo.geometry.uncertainty import squared_distances
+from probevo.geometry.uncertainty import squared_mahalanobis
 
 
 def covariance_scale(errors: FloatArray, covariances: FloatArray) -> float:
@@ -19,17 +19,17 @@ def covariance_scale(errors: FloatArray, covariances: FloatArray) -> float:
         errors: of data left out, [N, d].
         covariances: predicted for them, [N, d, d].
     """
-    return float(np.mean(squared_distances(errors, covariances)) / errors.shape[-1])
+    return float(np.mean(squared_mahalanobis(errors, covariances)) / errors.shape[-1])
 
 
 def negative_log_likelihoods(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """Return ½ φᵀ Σ⁻¹ φ + ½ log|Σ|, [...]: without the constant d/2 log 2π, as published."""
     log_det = np.linalg.slogdet(covariances).logabsdet
-    values: FloatArray = 0.5 * squared_distances(errors, covariances) + 0.5 * log_det
+    values: FloatArray = 0.5 * squared_mahalanobis(errors, covariances) + 0.5 * log_det
     return values
 
 
 def coverage(errors: FloatArray, covariances: FloatArray, probability: float) -> float:
     """Return the share of errors within the ellipsoid that holds this share of a Gaussian's."""
     bound = chi2.ppf(probability, errors.shape[-1])
-    return float(np.mean(squared_distances(errors, covariances) <= bound))
+    return float(np.mean(squared_mahalanobis(errors, covariances) <= bound))

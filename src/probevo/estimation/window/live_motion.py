@@ -17,7 +17,7 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstima
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, squared_mahalanobis
 
 MAX_ATTITUDE_SIGMA_RAD = 0.2
 """Standard deviation of the attitude in the world up to which covariances of poses in the world
@@ -74,7 +74,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     # T_curr_prev T_relative⁻¹: how far the step moved the previous pose, along the axes of the
     # current frame.
     correction = se3.log(T_curr_prev @ se3.inverse(T_relative))
-    if is_far or correction @ np.linalg.solve(cov, correction) > MOTIONS_DIFFER_FROM:
+    if is_far or squared_mahalanobis(correction, cov) > MOTIONS_DIFFER_FROM:
         cov = cov + np.outer(correction, correction)
     # The path's covariance has to come out as that of the window, P_k = Ad P_{k−1} Adᵀ + cov(ε) + X
     # + Xᵀ: its growth less cov(ε) is split evenly into X and Xᵀ.

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogFormatter
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-from probevo.geometry.uncertainty import squared_distances
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.output.inspection.plots import NARROW_IN
 from probevo.output.page import grid, panel, table_panel, write_page
 from probevo.output.svg import BLUE, GREY, figure_style
@@ -40,7 +40,7 @@ def write_sensor_inspection(
     """
     covered = coverage_of(errors)
     rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
-    squared = squared_distances(errors.errors, errors.covariances)
+    squared = squared_mahalanobis(errors.errors, errors.covariances)
     scale = float(np.mean(squared) / errors.errors.shape[1])
     facts = {
         "Recording": recording,
@@ -85,7 +85,7 @@ def write_sensor_inspection(
 
 def coverage_of(errors: SensorErrors) -> FloatArray:
     """Return the share of errors within the regions that should hold ``SHARES`` of them."""
-    squared = squared_distances(errors.errors, errors.covariances)
+    squared = squared_mahalanobis(errors.errors, errors.covariances)
     bounds = chi2.ppf(SHARES, errors.errors.shape[1])
     covered: FloatArray = np.mean(squared[:, None] <= bounds, axis=0)
     return covered
