@@ -93,7 +93,7 @@ def steps(sequence: Sequence, model: pv.noise.StudentT | pv.noise.Fixed) -> Iter
             yield Step(
                 tracks=odometry.tracks.subset(used),
                 noise=replace(
-                    noise.scaled(np.full(len(noise.dof), before.noise_scale.factor)),
+                    noise.scaled(before.noise_scale.factor),
                     jitter_cov=None if before.rig is None else before.rig.jitter.cov,
                 ),
                 camera=odometry.camera,

@@ -20,7 +20,7 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.consistency import drift_covariances, drift_errors
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import compound
+from probevo.geometry.uncertainty import compound_pair
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
 from probevo.tracking import image_tracker
@@ -87,7 +87,7 @@ def two_steps_against_one(sequence: Sequence) -> float:
     for k in range(min(len(double.status), len(single.status) // 2)):
         first = 2 * k
         second = first + 1
-        T, cov = compound(
+        T, cov = compound_pair(
             single.T_curr_prev[first],
             single.cov[first],
             single.T_curr_prev[second],

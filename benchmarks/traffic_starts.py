@@ -26,7 +26,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.ransac import InlierThreshold, find_consensus
-from probevo.estimation.rival_motion import MIN_UNPREDICTED, Hypothesis, outranks
+from probevo.estimation.rival_motion import Hypothesis, outranks
 from probevo.geometry import se3
 from probevo.sequences.frame import Frame
 from probevo.sequences.recording import StereoRecording
@@ -132,7 +132,7 @@ def ranked(street: Street, index: int) -> list[Ranked]:
         )
         motion = Hypothesis(found.T_curr_prev, tracks.subset(found.inliers))
         (right if street.is_right(found.T_curr_prev, index) else wrong).append(motion)
-    fewest = MIN_UNPREDICTED * config.solver.min_tracks
+    fewest = config.solver.min_tracks_beyond_chance
     pairs = []
     for one in right:
         for other in wrong:

@@ -721,9 +721,9 @@ def test_images_that_overwrite_those_to_be_connected_give_these_up(
     found = []
     with_step = WindowEstimator.with_step
 
-    def spy(*values: Any, found_again: Any, **keywords: Any) -> Any:
-        found.append(found_again is not None)
-        return with_step(*values, found_again=found_again, **keywords)
+    def spy(*values: Any, reacquired: Any, **keywords: Any) -> Any:
+        found.append(reacquired is not None)
+        return with_step(*values, reacquired=reacquired, **keywords)
 
     monkeypatch.setattr(WindowEstimator, "with_step", spy)
     images = frames[3] if is_overwritten else frames[5]

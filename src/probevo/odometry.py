@@ -26,15 +26,14 @@ from probevo.estimation.motion_correction import (
     with_correction,
 )
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
-from probevo.estimation.recovery import INLIERS_FACTOR
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import solve_innovations
 from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
-from probevo.estimation.window.estimator import SolvedTracks, WindowEstimator
+from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.inertial import Inertial
-from probevo.estimation.window.live_motion import live_advance, live_motion
+from probevo.estimation.window.live_motion import live_motion, live_pose
 from probevo.estimation.window.window import Window
 from probevo.measurements.base import Measurement
 from probevo.measurements.correction import MotionCorrection
@@ -273,7 +272,7 @@ class StereoOdometry:
         if is_frozen:
             # The camera moves but its images do not change. Tracking them would measure a motion of
             # zero with great confidence, so there are no tracks.
-            tracked = Tracked.nothing(state.tracking)
+            tracked = Tracked.all_lost(state.tracking)
         else:
             # Usually one start, the prediction. While speed or rotation are unknown there are more.
             starts = model.starts(prediction.duration_s, prediction.motion)
@@ -396,7 +395,7 @@ class StereoOdometry:
         """
         others = [*measured.by_gyro, *measured.motion_measurements]
         solved = self._solve(observed, others, clock)
-        # Without features of the vehicle, if they feign rest
+        # Without features of the vehicle, if they make the camera seem to be at rest
         of_scene = self._without_vehicle(observed, solved, clock)
         if of_scene is not observed:
             observed = of_scene
@@ -406,26 +405,33 @@ class StereoOdometry:
         state = observed.prediction.state
         is_solved = solved.visual.status is Status.OK
         is_lost = solved.is_lost and state.last_usable is not None
-        retry = observed.prediction.from_last_usable()
-        if retry is None or not (is_lost or (is_solved and state.window is not None)):
+        if not (is_lost or (is_solved and state.window is not None)):
             return solved
-        prediction, recovery = retry
-        # Sensors measure from the previous frame, not from the last usable one: leave them out.
-        found = self._solve(self._observe(prediction, clock), (), clock)
-        fewest = INLIERS_FACTOR * self.config.solver.min_tracks
-        if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
+        recovered = self._solve_from_last_usable(observed.prediction, clock)
+        if recovered is None:
             return solved
         if not is_solved:
-            return replace(found, recovery=recovery)
+            return recovered
         # Both velocities are known now, before the gap and after it.
         gap = state.gap_before(observed.prediction.duration_s, solved.calibrated.accepted())
-        across = found.visual.accepted_solution
+        across = recovered.visual.accepted_solution
         if gap is None or gap.contradicts(across.T_curr_prev, across.cov):
             return solved
-        found_again = SolvedTracks(
-            prediction.state.frame.index, found.calibrated, recovery.noise_factor
-        )
-        return replace(solved, found_again=found_again)
+        return replace(solved, reacquired=recovered.tracks_for_window)
+
+    def _solve_from_last_usable(self, prediction: Prediction, clock: StageClock) -> Solved | None:
+        """Estimate the motion from the last usable frame to this one; None if too few of its
+        features are found again."""
+        retry = prediction.from_last_usable()
+        if retry is None:
+            return None
+        since_usable, recovery = retry
+        # Sensors measure from the previous frame, not from the last usable one: leave them out.
+        found = self._solve(self._observe(since_usable, clock), (), clock)
+        fewest = self.config.solver.min_tracks_beyond_chance
+        if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
+            return None
+        return replace(found, recovery=recovery)
 
     def _solve(
         self, observed: Observed, others: Sequence[Measurement], clock: StageClock
@@ -443,7 +449,7 @@ class StereoOdometry:
             noise_factor=state.noise_scale.factor,
         )
         calibrated = self._motion_estimator.estimate(
-            observed.corrected,
+            observed.corrected_tracks,
             observed.phi,
             priors,
             motion_model=state.motion_model,
@@ -474,7 +480,7 @@ class StereoOdometry:
         if not solved.is_step_solved and prediction.window is None:
             readings = [reading.without_motion(pose) for reading in readings]
         corrected, readings = with_correction(
-            two_frame, readings, self._suite, frames=(state.frame, frame)
+            two_frame, readings, self._suite, prev_frame=state.frame, frame=frame
         )
         if self.sensors:
             clock.lap("sensors")
@@ -492,13 +498,13 @@ class StereoOdometry:
                 prediction.window, solved, corrected, intersection=intersection, measured=measured
             )
             motion = live_motion(corrected, prediction.window, window)
-            if solved.visual.is_weak and not window.is_blind[-1]:
+            if solved.visual.is_partly_determined and not window.is_blind[-1]:
                 # What features leave open, the window knows by the velocity before.
                 model = state.motion_model.after_solve(
                     prediction.duration_s, motion.T_curr_prev, motion.cov
                 )
                 updated = replace(updated, motion_model=model)
-            fusion = state.fusion.advanced(live_advance(motion, window))
+            fusion = state.fusion.after(motion, live_pose(window))
             clock.lap("window")
         else:
             motion = corrected
@@ -556,12 +562,11 @@ class StereoOdometry:
     def _is_connected(self, solved: Solved, window: Window | None) -> bool:
         """Return whether the window has taken the features of the last usable frame that were found
         again: an adjustment that fails goes on without any."""
-        found = solved.found_again
-        if found is None or window is None:
+        if solved.reacquired is None or window is None:
             return False
-        fewest = INLIERS_FACTOR * self.config.solver.min_tracks
         newest = solved.prediction.frame.index
-        return window.num_common_landmarks(found.prev, newest) >= fewest
+        in_common = window.num_common_landmarks(solved.reacquired.prev, newest)
+        return in_common >= self.config.solver.min_tracks_beyond_chance
 
     def _accept_or_dead_reckon(
         self, prediction: Prediction, solved: Solved
@@ -661,17 +666,12 @@ class StereoOdometry:
         velocity = None
         if solved.visual.status is not Status.OK:
             velocity = velocity_for_window(window, prediction)
-        recovery = solved.recovery
         return self._window_estimator.with_step(
             window,
-            SolvedTracks(
-                prediction.state.frame.index,
-                solved.calibrated,
-                noise_factor=1.0 if recovery is None else recovery.noise_factor,
-            ),
+            solved.tracks_for_window,
             motion_for_window(window, prediction, corrected),
             velocity=velocity,
             intersection=intersection,
             measurements=measurements,
-            found_again=solved.found_again,
+            reacquired=solved.reacquired,
         )

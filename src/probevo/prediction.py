@@ -71,7 +71,7 @@ class Prediction:
             None if the previous frame is usable itself, if the last usable one is too long ago, or
             if a window with an IMU bridges the frames between.
         """
-        usable = self.state.last_usable_or_unconnected
+        usable = self.state.to_reconnect
         window = self.state.window
         if usable is None or Inertial.of(window).may_bridge:
             return None

@@ -137,7 +137,7 @@ def as_config(config: object) -> OdometryConfig:
     return checked_settings(config, OdometryConfig, example=example)
 
 
-def as_array(value: object, name: str, shape: tuple[int | None, ...]) -> FloatArray:
+def as_finite_array(value: object, name: str, shape: tuple[int | None, ...]) -> FloatArray:
     """Return an array of finite numbers.
 
     Args:

@@ -28,7 +28,7 @@ class Observed:
     """The motion from which the search for the features started."""
     tracked: Tracked
     """The raw tracks, and the features to track from here on."""
-    corrected: CorrectedTracks
+    corrected_tracks: CorrectedTracks
     """The N tracks of the scene, corrected by the rig's calibration."""
     phi: FloatArray
     """The predictors of these tracks, [N, M]."""
@@ -65,7 +65,7 @@ class Solved:
     calibrated: CalibratedMotion
     recovery: Recovery | None = None
     """Set if the motion starts at the last usable frame instead of the previous one."""
-    found_again: SolvedTracks | None = None
+    reacquired: SolvedTracks | None = None
     """Tracks from the last usable frame, if they are found again in a step that is solved from the
     previous one: they connect the path across the dead-reckoned frames."""
 
@@ -73,6 +73,15 @@ class Solved:
     def visual(self) -> VisualMotion:
         """The motion by the tracks, and whether it was accepted."""
         return self.calibrated.visual
+
+    @property
+    def tracks_for_window(self) -> SolvedTracks:
+        """The tracks from the frame where the motion starts, as the window takes them."""
+        return SolvedTracks(
+            self.prediction.state.frame.index,
+            self.calibrated,
+            noise_factor=1.0 if self.recovery is None else self.recovery.noise_factor,
+        )
 
     @property
     def prediction(self) -> Prediction:
@@ -83,7 +92,7 @@ class Solved:
     @property
     def tracks(self) -> Tracks:
         """The N tracks, corrected as they were solved."""
-        return self.calibrated.corrected.tracks
+        return self.calibrated.corrected_tracks.tracks
 
     @property
     def is_lost(self) -> bool:

@@ -197,7 +197,7 @@ class OdometryState:
         """
         if motion.status is not Status.OK or is_connected:
             return None
-        usable = self.last_usable_or_unconnected
+        usable = self.to_reconnect
         gap = self.gap_before(duration_s, motion)
         if usable is None or gap is None:
             return None
@@ -207,7 +207,7 @@ class OdometryState:
         return Unconnected(replace(usable, path=path), gap)
 
     @property
-    def last_usable_or_unconnected(self) -> LastUsable | None:
+    def to_reconnect(self) -> LastUsable | None:
         """The frame whose features are to be found again; None if all frames are connected."""
         if self.last_usable is None and self.unconnected is not None:
             return self.unconnected.usable

@@ -63,7 +63,7 @@ def test_repeated_images_of_a_moving_camera_are_frozen(
 
 
 @pytest.mark.parametrize(
-    ("image", "refusals", "is_after_repetition", "expected"),
+    ("image", "rejections", "is_after_repetition", "expected"),
     [
         (IMAGE, 0, False, True),
         (NOISY, 0, False, False),
@@ -80,8 +80,8 @@ def test_repeated_images_of_a_moving_camera_are_frozen(
     ],
 )
 def test_repeated_images_of_a_camera_at_rest_may_be_frozen(
-    image: Image, refusals: int, *, is_after_repetition: bool, expected: bool
+    image: Image, rejections: int, *, is_after_repetition: bool, expected: bool
 ) -> None:
     rest = MotionModel.at_start(MotionModelConfig()).after_solve(0.1, np.eye(4), 1e-6 * np.eye(6))
-    model = replace(rest, refusals=refusals, is_after_repetition=is_after_repetition)
+    model = replace(rest, rejections=rejections, is_after_repetition=is_after_repetition)
     assert may_be_frozen(*frames_of(IMAGE, image), model) is expected

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
-from probevo.estimation.motion_model import INNOVATION_GATE, MIN_SIGMA, MotionModel
+from probevo.estimation.motion_model import INNOVATION_GATE, MIN_PREDICTED_SIGMA, MotionModel
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3, so3
@@ -71,7 +71,7 @@ def test_covariance_is_that_of_the_last_motion_of_the_acceleration_and_of_the_st
     acceleration = np.repeat([CONFIG.acceleration_m_s2, CONFIG.angular_acceleration_rad_s2], 3)
     sigma = np.sqrt(np.diagonal(COV)) / STEP_S + acceleration * 0.2
     stamps = 2.0 * CONFIG.stamp_sigma_s**2 * np.outer(TWIST_S, TWIST_S)
-    expected = np.diag((sigma * 0.2) ** 2) + stamps + MIN_SIGMA**2 * np.eye(6)
+    expected = np.diag((sigma * 0.2) ** 2) + stamps + MIN_PREDICTED_SIGMA**2 * np.eye(6)
     np.testing.assert_allclose(driving().predict(0.2, None).cov, expected, rtol=1e-9)
 
 
@@ -381,7 +381,7 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
     # A degree askew, and six milliseconds late.
     unmodelled_rad = 0.02 * np.linalg.norm(angle)
     unmodelled_rad += 0.006 * np.linalg.norm(angle / STEP_S - TWIST_S[3:])
-    expected_cov = gyro.covariance + (unmodelled_rad**2 + MIN_SIGMA**2) * np.eye(3)
+    expected_cov = gyro.covariance + (unmodelled_rad**2 + MIN_PREDICTED_SIGMA**2) * np.eye(3)
     np.testing.assert_allclose(aided.cov[3:, 3:], expected_cov, rtol=1e-9)
     np.testing.assert_array_equal(aided.cov[:3, :3], unaided.cov[:3, :3])
     np.testing.assert_array_equal(aided.T_curr_prev[:3, 3], unaided.T_curr_prev[:3, 3])
@@ -404,7 +404,7 @@ def test_the_error_of_the_gyro_bias_adds_up_over_dead_reckoned_steps() -> None:
         adjoint = se3.adjoint(step.T_curr_prev)
         cross = step.path_cross_cov
         path_cov = adjoint @ path_cov @ adjoint.T + step.cov + cross + cross.T
-    expected = (20.0 * STEP_S * bias_rad_s) ** 2 + 20.0 * (noise_rad**2 + MIN_SIGMA**2)
+    expected = (20.0 * STEP_S * bias_rad_s) ** 2 + 20.0 * (noise_rad**2 + MIN_PREDICTED_SIGMA**2)
     np.testing.assert_allclose(np.diag(path_cov)[3:], expected, rtol=1e-3)
 
 
@@ -435,7 +435,7 @@ def test_a_model_that_refuses_three_solves_in_a_row_is_given_up() -> None:
     assert len(model.starts(0.1, model.predict(0.1, None))) > 1
 
 
-def test_steps_without_a_solve_do_not_count_as_refusals() -> None:
+def test_steps_without_a_solve_do_not_count_as_rejections() -> None:
     start = MotionModel.at_start(MotionModelConfig())
     model = start.after_solve(
         0.1, se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])), 1e-8 * np.eye(6)

@@ -127,7 +127,7 @@ def test_a_late_right_camera_is_corrected_by_the_motion_that_was_found(
         rig = rig.with_delay(late.curr_px, TWIST_S, CAMERA)
     found, num_solves = estimate(late, rig, twist)
     assert num_solves >= 2
-    assert found.corrected.delay_s == pytest.approx(0.005, abs=3e-4)
+    assert found.corrected_tracks.delay_s == pytest.approx(0.005, abs=3e-4)
     assert np.linalg.norm(motion_error(found.accepted().T_curr_prev)[:3]) < 0.02
 
 
@@ -137,7 +137,7 @@ def test_a_step_that_was_not_accepted_teaches_the_rows_only() -> None:
     rig = RigCalibration.initial()
     found, _ = estimate(tracks, rig)
     assert found.visual.status is not Status.OK
-    assert found.rig is found.corrected.rig
+    assert found.rig is found.corrected_tracks.rig
     assert found.rig is not None
     np.testing.assert_array_equal(found.rig.disparity, rig.disparity)
     reckoned = found.dead_reckoned(MODEL, MODEL.predict(DURATION_S, None), DURATION_S)

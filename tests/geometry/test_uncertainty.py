@@ -77,7 +77,7 @@ def test_compound_to_second_order_for_small_noise() -> None:
     T_b_a, T_c_b = se3.exp(rng.normal(size=(2, 6)))
     cov_b_a = random_covariance(rng, 0.05, 0.02)
     cov_c_b = random_covariance(rng, 0.02, 0.03)
-    T_c_a, cov_c_a = uncertainty.compound(T_b_a, cov_b_a, T_c_b, cov_c_b=cov_c_b)
+    T_c_a, cov_c_a = uncertainty.compound_pair(T_b_a, cov_b_a, T_c_b, cov_c_b=cov_c_b)
     np.testing.assert_array_equal(T_c_a, T_c_b @ T_b_a)
     assert relative_error(cov_c_a, monte_carlo_compound(T_b_a, cov_b_a, T_c_b, cov_c_b, rng)) < 0.02
 
@@ -86,9 +86,10 @@ def test_compound_is_batched() -> None:
     rng = np.random.default_rng(9)
     T = se3.exp(rng.normal(size=(2, 5, 6)))
     cov = np.stack([random_covariance(rng, 1.0, 0.5) for _ in range(10)]).reshape(2, 5, 6, 6)
-    _, together = uncertainty.compound(T[0], cov[0], T[1], cov_c_b=cov[1])
+    _, together = uncertainty.compound_pair(T[0], cov[0], T[1], cov_c_b=cov[1])
     apart = [
-        uncertainty.compound(T[0, k], cov[0, k], T[1, k], cov_c_b=cov[1, k])[1] for k in range(5)
+        uncertainty.compound_pair(T[0, k], cov[0, k], T[1, k], cov_c_b=cov[1, k])[1]
+        for k in range(5)
     ]
     np.testing.assert_allclose(together, apart, atol=1e-12)
 

@@ -205,7 +205,7 @@ def test_a_correction_between_other_frames_is_refused(prev: Variable | None) -> 
             return RelativePose(T_curr_prev, cov, curr=POSE, prev=prev)
 
     with pytest.raises(InputError, match="sensor elsewhere: its motion is not from"):
-        read_correction(Elsewhere(), (PREV, CURR), np.eye(4), name="elsewhere", cov=np.eye(6))
+        read_correction(Elsewhere(), PREV, CURR, np.eye(4), name="elsewhere", cov=np.eye(6))
 
 
 def test_a_correction_without_a_value_is_no_measurement() -> None:
@@ -217,7 +217,7 @@ def test_a_correction_without_a_value_is_no_measurement() -> None:
         ) -> RelativePose:
             return RelativePose(np.full((4, 4), np.nan), cov, POSE)
 
-    found = read_correction(Broken(), (PREV, CURR), np.eye(4), name="broken", cov=np.eye(6))
+    found = read_correction(Broken(), PREV, CURR, np.eye(4), name="broken", cov=np.eye(6))
     assert found.measurements == ()
     assert found.reason == "not a finite value"
 

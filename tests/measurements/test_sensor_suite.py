@@ -49,19 +49,22 @@ def test_an_excluded_sensor_is_not_asked() -> None:
 
 def test_a_correction_is_asked_about_a_motion_only() -> None:
     suite = SensorSuite([night, Doubled()])
-    found = suite.read_correction(*FRAMES, (FORWARD, np.eye(6)))
+    found = suite.read_correction(*FRAMES, FORWARD, cov=np.eye(6), is_solved=True)
     assert found is not None
     assert (found.name, found.corrects) == ("doubled", True)
     (measured,) = found.measurements
     assert isinstance(measured, RelativePose)
     np.testing.assert_array_equal(measured.covariance, 4.0 * np.eye(6))
-    reckoned = suite.read_correction(*FRAMES, None)
+    reckoned = suite.read_correction(*FRAMES, FORWARD, cov=np.eye(6), is_solved=False)
     assert reckoned is not None
     assert (reckoned.measurements, reckoned.reason) == ((), "dead-reckoned step")
 
 
 def test_without_a_correction_there_is_nothing_to_ask() -> None:
-    assert SensorSuite([night]).read_correction(*FRAMES, (FORWARD, np.eye(6))) is None
+    assert (
+        SensorSuite([night]).read_correction(*FRAMES, FORWARD, cov=np.eye(6), is_solved=True)
+        is None
+    )
 
 
 def test_two_corrections_are_refused() -> None:

@@ -36,7 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray, rows_of
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST
 from probevo.estimation.disparity_filter_numba import (
@@ -180,9 +180,8 @@ class DisparityFilter:
     def of_tracks(self, tracks: Tracks) -> DisparityFilter:
         """Return the states of those of N tracks that the filter knows, listed in
         ``states.rows``."""
-        # Identities are sorted, so that each track is found by bisection.
-        place = np.minimum(np.searchsorted(self.ids, tracks.ids), max(len(self.ids) - 1, 0))
-        rows = np.flatnonzero(self.ids[place] == tracks.ids) if len(self.ids) else place[:0]
+        place = rows_of(tracks.ids, self.ids)
+        rows = np.flatnonzero(place >= 0)
         place = place[rows]
         measured_px = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
         jitter = self.states.jitter

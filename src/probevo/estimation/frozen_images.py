@@ -51,5 +51,5 @@ def may_be_frozen(prev_frame: Frame, frame: Frame, model: MotionModel) -> bool:
     """
     if are_repeated(prev_frame, frame):
         return True
-    is_ambiguous = model.is_after_repetition or model.refusals > 0
+    is_ambiguous = model.is_after_repetition or model.rejections > 0
     return is_ambiguous and look_repeated(prev_frame, frame)

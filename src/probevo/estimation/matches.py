@@ -24,7 +24,7 @@ from probevo.geometry import se3
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
 from probevo.noise.base import predicted_noise
-from probevo.python_arguments import as_array, as_camera, as_noise, as_seed
+from probevo.python_arguments import as_camera, as_finite_array, as_noise, as_seed
 from probevo.tracking.left_right import check_features
 from probevo.tracking.tracks import Tracks
 
@@ -72,12 +72,12 @@ def estimate_motion(
             predictors, the camera is impossible, or the seed negative.
     """
     camera = as_camera(camera)
-    prev = as_array(prev_px, "prev_px", (None, 4))
-    curr = as_array(curr_px, "curr_px", (len(prev), 4))
-    of_matches = _noise_of(noise, len(prev), camera)
+    prev = as_finite_array(prev_px, "prev_px", (None, 4))
+    curr = as_finite_array(curr_px, "curr_px", (len(prev), 4))
+    of_matches = _as_match_noise(noise, len(prev), camera)
     start = np.eye(4)
     if guess is not None:
-        start = se3.check_transform(as_array(guess, "guess", (4, 4)), "guess")
+        start = se3.check_transform(as_finite_array(guess, "guess", (4, 4)), "guess")
     rng = np.random.default_rng(as_seed(seed))
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
@@ -155,11 +155,10 @@ def _agree(
     their noise explains, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
     squared = evaluated_at(solution, observations).squared
-    dof = np.broadcast_to(noise.dof, (len(tracks),))
-    return agree_with_noise(squared, dof)
+    return agree_with_noise(squared, noise.dof)
 
 
-def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
+def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
     """Return the noise of the matches.
 
     Raises:
@@ -190,7 +189,7 @@ def _gaussian(noise: object, count: int) -> StereoNoise:
         InputError: they are no covariances.
     """
     is_common = np.ndim(np.asarray(noise, dtype=object)) == 2
-    cov = as_array(noise, "noise", (4, 4) if is_common else (count, 4, 4))
+    cov = as_finite_array(noise, "noise", (4, 4) if is_common else (count, 4, 4))
     _check_covariances(cov)
     scale = np.array(np.broadcast_to(cov, (count, 4, 4)))
     dof = np.full(count, np.inf)

@@ -11,7 +11,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import Reading
 from probevo.measurements.sensor_suite import SensorSuite
@@ -26,7 +25,8 @@ def with_correction(
     readings: Sequence[Reading],
     suite: SensorSuite,
     *,
-    frames: tuple[Frame, Frame],
+    prev_frame: Frame,
+    frame: Frame,
 ) -> tuple[MotionEstimate, list[Reading]]:
     """Ask the correction, if there is one, and return the corrected motion and all readings.
 
@@ -37,33 +37,35 @@ def with_correction(
         motion: of the images, or dead-reckoned.
         readings: of each sensor; that of the correction is empty.
         suite: the sensors.
-        frames: the previous and the current frame.
+        prev_frame: the previous frame.
+        frame: the current frame.
     """
-    prev_frame, frame = frames
-    solved = None
-    if motion.status is Status.OK:
-        solved = (motion.T_curr_prev, motion.cov)
-    correction = suite.read_correction(prev_frame, frame, solved)
+    correction = suite.read_correction(
+        prev_frame,
+        frame,
+        motion.T_curr_prev,
+        cov=motion.cov,
+        is_solved=motion.status is Status.OK,
+    )
     if correction is None:
         return motion, list(readings)
     for measurement in correction.measurements:
-        motion = corrected(motion, measurement)
+        if isinstance(measurement, RelativePose):
+            motion = corrected(motion, measurement)
     return motion, [correction if one.name == correction.name else one for one in readings]
 
 
-def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimate:
+def corrected(motion: MotionEstimate, correction: RelativePose) -> MotionEstimate:
     """Replace the motion of the images by the corrected one, with its covariance.
 
     This covariance is of the whole error, errors of the rig's calibration included, and it was
     calibrated on sums of successive errors. So there is neither a common-mode part nor a
     cross-covariance with the path in addition.
     """
-    if not isinstance(measurement, RelativePose):
-        return motion
     return replace(
         motion,
-        T_curr_prev=measurement.T_curr_prev,
-        cov=measurement.covariance,
+        T_curr_prev=correction.T_curr_prev,
+        cov=correction.covariance,
         common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         path_cross_cov=np.zeros((6, 6)),
     )
@@ -109,8 +111,7 @@ def covariance_intersection(
     """
     # Both in units of the covariance of the two-frame motion, averaged over the six dimensions
     xi = se3.log(motion.T_curr_prev @ se3.inverse(of_images.T_curr_prev))
-    common_mode = of_images.common_mode
-    information = np.linalg.inv(of_images.cov - common_mode @ common_mode.T)
+    information = np.linalg.inv(of_images.own_cov)
     of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
     # Covariance intersection with ω = λ/(λ + c): λ/(1 − ω) times C, and 1/ω times Σ

@@ -113,6 +113,11 @@ class MotionEstimate:
         return se3.inverse(self.T_world_cam)
 
     @property
+    def own_cov(self) -> FloatArray:
+        """``cov`` without its common-mode part, [6, 6]: what is new in each step."""
+        return self.cov - self.common_mode @ self.common_mode.T
+
+    @property
     def imu_left_out(self) -> str:
         """The text of ``imu_reason``, a phrase that continues "the IMU …"; empty if there is
         none."""

@@ -27,7 +27,7 @@ MAX_STAMP_SHARE = 0.05
 """Upper bound of the standard deviation of a stamp, as a share of the time between frames. It
 admits motions that are half too long or too short; 5 ms at 30 Hz would also admit a standstill."""
 
-MIN_SIGMA = 1e-5
+MIN_PREDICTED_SIGMA = 1e-5
 """Smallest standard deviation of a prediction, m and rad. Over a microsecond, that of the motion
 would be so small that rounding loses the information of the features."""
 
@@ -49,7 +49,7 @@ MAX_GAPS = 10
 """Steps in a row that may be gaps, before their duration is taken for that of another frame
 rate."""
 
-MAX_REFUSALS = 3
+MAX_REJECTIONS = 3
 """Number of solves that may be rejected, without an accepted one between them, before the motion
 model itself is reset: one or two wrong solves in a row are usual behind a passing lorry, and with
 more the prediction is the likelier one to be wrong."""
@@ -171,7 +171,7 @@ class MotionModel:
     """Running mean of the time between frames; 0 before the second."""
     gaps: int = 0
     """Steps in a row that were gaps: many of them are another frame rate."""
-    refusals: int = 0
+    rejections: int = 0
     """Solves that were rejected since the last accepted one."""
     path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """∂(path error)/∂(error of the velocity) since the last solve, along the axes of the current
@@ -229,7 +229,7 @@ class MotionModel:
                 velocity_sensitivity[3:, 3:] = bias_sensitivity
         return MotionPrediction(
             T_curr_prev,
-            cov + MIN_SIGMA**2 * np.eye(6),
+            cov + MIN_PREDICTED_SIGMA**2 * np.eye(6),
             velocity_sensitivity,
             is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
@@ -243,7 +243,7 @@ class MotionModel:
             duration_s: time between the two frames.
         """
         change = (self._drifted_sigma(duration_s) - self.twist_sigma) * duration_s
-        return np.diag(change**2 + MIN_SIGMA**2) + self._cov_by_stamps(duration_s)
+        return np.diag(change**2 + MIN_PREDICTED_SIGMA**2) + self._cov_by_stamps(duration_s)
 
     def twist_change_cov(self, duration_s: float) -> FloatArray:
         """Return the covariance of how the velocity changes within the next step, given how the
@@ -256,7 +256,7 @@ class MotionModel:
             duration_s: time between the two frames.
         """
         usual = self.acceleration_scale.usual_factors * self._configured_accelerations * duration_s
-        noise = np.hypot(self.twist_sigma, MIN_SIGMA / duration_s)
+        noise = np.hypot(self.twist_sigma, MIN_PREDICTED_SIGMA / duration_s)
         return np.diag(usual**2 + 2.0 * noise**2)
 
     def _cov_by_stamps(self, duration_s: float) -> FloatArray:
@@ -333,7 +333,7 @@ class MotionModel:
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
         """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
-        # The new velocity is independent of earlier dead reckoning, so ``refusals`` and
+        # The new velocity is independent of earlier dead reckoning, so ``rejections`` and
         # ``path_sensitivity`` are reset.
         twist = se3.log(T_curr_prev) / duration_s
         twist_sigma = np.sqrt(np.diagonal(cov)) / duration_s
@@ -423,23 +423,23 @@ class MotionModel:
             duration_s: time between the two frames.
             prediction: what was predicted of its motion.
             T_curr_prev: its motion, [4, 4]: the prediction, or a rejected solve.
-            is_rejected: whether there was a solve that was rejected. After MAX_REFUSALS without an
+            is_rejected: whether a solve was rejected. After MAX_REJECTIONS without an
                 accepted one between them, the model itself is taken to be wrong, and becomes as
                 uncertain as at the start.
         """
-        refusals = self.refusals + int(is_rejected)
+        rejections = self.rejections + int(is_rejected)
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
         rate = self._with_step(duration_s)
         # The camera was picked up, say, or the first solve was wrong. Solves that contradict the
         # model again and again are right. Keep the twist as a guess, but let it reject nothing.
-        if refusals >= MAX_REFUSALS:
+        if rejections >= MAX_REJECTIONS:
             return replace(
                 rate.without_velocity(), twist=self.twist, path_sensitivity=path_sensitivity
             )
         return replace(
             rate,
-            refusals=refusals,
+            rejections=rejections,
             path_sensitivity=path_sensitivity,
             since_solve_s=self.since_solve_s + duration_s,
         )

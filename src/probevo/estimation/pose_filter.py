@@ -62,9 +62,10 @@ class UncorrectedPath:
         # With the step, w becomes w⁺ = Ad w + ε, and the error of the corrected pose K' w⁺ + (1 −
         # K') ε + n: regress ε on w⁺.
         pose = self.pose.advanced(motion)
-        own_cov = motion.cov - motion.common_mode @ motion.common_mode.T
         with_path = (
-            own_cov + motion.path_cross_cov.T + motion.common_mode @ pose.common_mode[:POSE].T
+            motion.own_cov
+            + motion.path_cross_cov.T
+            + motion.common_mode @ pose.common_mode[:POSE].T
         )
         step_share = with_path @ scaled_inverse(pose.cov + np.diag(MIN_SIGMA**2))
         of_step = np.eye(len(moved), POSE) - moved
@@ -159,6 +160,20 @@ class PoseFilter:
         common_mode[:POSE] = pose.common_mode
         return replace(self, T_world_cam=pose.T_world_cam, own_cov=own_cov, common_mode=common_mode)
 
+    def after(self, motion: MotionEstimate, in_window: PoseFilter | None) -> PoseFilter:
+        """Return the pose after a step.
+
+        As long as no sensor has corrected it, it is the window's own; without a window, or once
+        corrected, the motion is added to it.
+
+        Args:
+            motion: the step.
+            in_window: the pose after it by the window; None for the two-frame estimator.
+        """
+        if in_window is None or self.is_corrected:
+            return self.advanced(motion)
+        return self.moved_to(in_window)
+
     def advanced(self, motion: MotionEstimate) -> PoseFilter:
         """Return the pose after a step: P = Ad P Adᵀ + cov + X + Xᵀ, X the cross-covariance."""
         # T_curr_world = T_curr_prev T_prev_world: a left perturbation ξ of the pose before becomes
@@ -167,9 +182,8 @@ class PoseFilter:
         adjoint[:POSE, :POSE] = se3.adjoint(motion.T_curr_prev)
         # Common-mode errors are the same in all steps, so their roots add up, not their
         # covariances: the error grows with the length of the path, not with its square root.
-        step_cov = motion.cov - motion.common_mode @ motion.common_mode.T
         own_cov = adjoint @ self.own_cov @ adjoint.T
-        own_cov[:POSE, :POSE] += step_cov
+        own_cov[:POSE, :POSE] += motion.own_cov
         uncorrected = self.uncorrected
         if uncorrected is None:
             own_cov[:POSE, :POSE] += motion.path_cross_cov + motion.path_cross_cov.T

@@ -144,7 +144,7 @@ def find_consensus_near(
     guess: FloatArray,
     cov: FloatArray,
     threshold: InlierThreshold,
-    confidence: float = 0.99,
+    confidence: float,
 ) -> Consensus:
     """Find the best of the motions of random minimal samples of three that are near a guess.
 

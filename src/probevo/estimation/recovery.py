@@ -24,10 +24,6 @@ from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 
-INLIERS_FACTOR = 2
-"""Factor of the inliers that a recovery needs, compared with an ordinary step. Few features
-survive, and a few that agree by chance would determine the motion: with fewer, one in six was far
-outside of its covariance."""
 FRAMES_OF_NOISE = 2.0
 """Number of frames over which the noise model holds for matches. Over more, their variance grows in
 proportion to the number of frames, as the NEES of recoveries did on degraded recordings."""
@@ -183,8 +179,7 @@ class Recovery:
         """Return the motion from the last usable frame, with the covariance that such matches
         have."""
         # Errors of the calibration are the same however far apart the frames are.
-        own = motion.cov - motion.common_mode @ motion.common_mode.T
-        cov = motion.cov + (self.noise_factor - 1.0) * own
+        cov = motion.cov + (self.noise_factor - 1.0) * motion.own_cov
         return replace(motion, cov=cov, status=Status.RECOVERED)
 
 

@@ -23,9 +23,6 @@ from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.tracking.tracks import Tracks
 
-MIN_UNPREDICTED = 2
-"""Minimum number of tracks of a rival that is not predicted, in ``solver.min_tracks``: fewer may
-agree by chance."""
 AGAINST_FACTOR = 2.0
 """Multiple of RANSAC's threshold from which on a track contradicts a motion that is not predicted:
 errors that all features share, such as those of a flexing rig, make no rival."""
@@ -58,11 +55,11 @@ class Hypothesis(NamedTuple):
 def outranks(
     rival: Hypothesis, best: Hypothesis, camera: StereoCamera, *, fewest: float, against_px: float
 ) -> bool:
-    """Return whether one motion is rather the camera's than another.
+    """Return whether a rival is more likely the camera's motion than the best one so far.
 
     Args:
-        rival: the one.
-        best: the other.
+        rival: another motion.
+        best: the motion that most tracks agree on.
         camera: the rectified camera.
         fewest: least number of tracks that agree on the rival and contradict the best motion.
         against_px: error above which a track contradicts a motion.
@@ -89,7 +86,7 @@ def rival_near_prediction(
     Few tracks are enough for one that is predicted: not even these agree with it by chance.
 
     Args:
-        best: the latter, and which of the tracks agree on it.
+        best: the motion that most tracks agree on, and which of the tracks agree on it.
         tracks: the N tracks.
         camera: the rectified camera.
         prediction: motion predicted before the images are used.

@@ -13,7 +13,6 @@ from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
-    MIN_UNPREDICTED,
     Hypothesis,
     outranks,
 )
@@ -99,8 +98,8 @@ def track_from_best_start(
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
-    """Track from each start T_curr_prev, [4, 4], between two frames, the previous one and this one,
-    and return the result whose tracks agree best.
+    """Track between two frames, the previous and the current one, from each start T_curr_prev,
+    [4, 4], and return the result whose tracks agree best.
 
     If more than half of the features in view are lost, the camera may have turned in a way that
     nobody predicted. The rotation of matched descriptors is then a further start, or that of the
@@ -108,8 +107,8 @@ def track_from_best_start(
 
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
     from rest, it converges to similar-looking places, such as the next post of a guard rail, which
-    may even agree on a motion, and so do the points of a lorry ahead. On the true motion agree more
-    points, or, where it takes most points out of the view, a larger share of those that are found,
+    may even agree on a motion, and so do the points of a lorry ahead. More points agree on the true
+    motion, or, where it takes most points out of the view, a larger share of those that are found,
     and of those that it leaves in view.
 
     While the speed is unknown, many points may still agree on another motion: if vehicles are all
@@ -149,7 +148,7 @@ def track_from_best_start(
             rival.hypothesis,
             best.hypothesis,
             camera,
-            fewest=MIN_UNPREDICTED * config.solver.min_tracks,
+            fewest=config.solver.min_tracks_beyond_chance,
             against_px=AGAINST_FACTOR * config.ransac.threshold_px,
         ):
             best = rival

@@ -46,7 +46,7 @@ CHANGE_ITERATIONS = 2
 class CalibratedMotion:
     """The motion of a step by its tracks, and the calibration of the rig after it."""
 
-    corrected: CorrectedTracks
+    corrected_tracks: CorrectedTracks
     """The tracks as they were solved."""
     visual: VisualMotion
     rig: RigCalibration | None
@@ -76,7 +76,7 @@ class CalibratedMotion:
             # add Schmidt's consider term.
             cov=solution.cov + common_mode @ common_mode.T + self.velocity_cov,
             status=visual.status,
-            num_tracks=len(self.corrected.tracks),
+            num_tracks=len(self.corrected_tracks.tracks),
             num_inliers=visual.num_inliers,
             iterations=visual.num_iterations,
             common_mode=common_mode,
@@ -101,7 +101,7 @@ class CalibratedMotion:
             T_curr_prev=reckoned.T_curr_prev,
             cov=reckoned.cov,
             status=Status.GAP if model.is_gap(duration_s) else visual.status,
-            num_tracks=len(self.corrected.tracks),
+            num_tracks=len(self.corrected_tracks.tracks),
             num_inliers=visual.num_inliers,
             iterations=visual.num_iterations,
             path_cross_cov=reckoned.path_cross_cov,
@@ -228,7 +228,7 @@ class SelfCalibratingEstimator:
         if found.visual.status is not Status.OK:
             # Keep the row offsets, which need no motion, and discard all else: the motion that it
             # depends on was rejected.
-            return replace(found, rig=found.corrected.rig)
+            return replace(found, rig=found.corrected_tracks.rig)
         return replace(found, rig=self._rig_with_delay(found, duration_s))
 
     def _with_change(
@@ -248,13 +248,13 @@ class SelfCalibratingEstimator:
             solution = found.visual.two_frames_only
             if found.visual.solution is None or solution is None:
                 break
-            unknown = velocity.unknown(solution, found.corrected.readout_s, self._camera)
+            unknown = velocity.unknown(solution, found.corrected_tracks.readout_s, self._camera)
             if unknown is None:
                 break
             change = estimate_change(unknown, solution)
             velocity = replace(velocity, estimated=change.mean)
             twists = velocity.twists(solution)
-            again = solve(found.corrected.at_twists(twists, self._camera), velocity)
+            again = solve(found.corrected_tracks.at_twists(twists, self._camera), velocity)
             if again.visual.status is not Status.OK and found.visual.status is Status.OK:
                 break
             found = replace(again, velocity_cov=change.motion_cov)
@@ -322,12 +322,12 @@ class SelfCalibratingEstimator:
         if found.rig is None or visual.two_frames_only is None:
             return found.rig
         rig = found.rig.with_delay(
-            found.corrected.raw.curr_px[visual.used],
+            found.corrected_tracks.raw.curr_px[visual.used],
             se3.log(visual.accepted_solution.T_curr_prev) / duration_s,
             self._camera,
         )
-        prior = found.corrected.prior_rig
-        if prior is not None and rig.delay.differs_from(found.corrected.delay_s):
+        prior = found.corrected_tracks.prior_rig
+        if prior is not None and rig.delay.differs_from(found.corrected_tracks.delay_s):
             # The tracks were corrected with a delay that turned out to be wrong. Keep nothing but
             # the new delay.
             return replace(prior, delay=rig.delay)

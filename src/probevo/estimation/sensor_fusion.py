@@ -26,7 +26,7 @@ are tested, and the steps that they have entered stay as they are.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,7 +82,7 @@ UNKNOWN_HEADING_RAD = 100.0
 
 
 class SensorInnovation(NamedTuple):
-    """Of a measurement: how far it is from what was expected, and how much it counts."""
+    """The squared innovation of a measurement, and its robust weight."""
 
     squared: float | None
     """Squared Mahalanobis distance; None where it was not tested."""
@@ -90,7 +90,7 @@ class SensorInnovation(NamedTuple):
     """Robust weight of the measurement; 0 if it is rejected."""
 
 
-class _Tested(NamedTuple):
+class _GatedUpdate(NamedTuple):
     """A filter after an update, with the innovation of each measurement."""
 
     pose: PoseFilter
@@ -116,14 +116,14 @@ class SensorMemory:
     num_restarts: int = 0
     """How often it has been reset."""
 
-    def advanced(self, advance: Callable[[PoseFilter], PoseFilter]) -> SensorMemory:
-        """Return the memory after a motion, given how a filter advances by it."""
+    def after(self, motion: MotionEstimate, in_window: PoseFilter | None) -> SensorMemory:
+        """Return the memory after a step; see ``PoseFilter.after``."""
         if self.excluded is not None:
             return self
         return replace(
             self,
-            without_sensor=advance(self.without_sensor),
-            with_offset=advance(self.with_offset),
+            without_sensor=self.without_sensor.after(motion, in_window),
+            with_offset=self.with_offset.after(motion, in_window),
         )
 
     def updated(
@@ -150,8 +150,8 @@ class SensorMemory:
         measurements = (*of_pose, *reading.of_motion(pose))
         return replace(
             self,
-            without_sensor=_tested(self.without_sensor, others, pose, north).pose,
-            with_offset=_tested_with_offset(
+            without_sensor=_gated_update(self.without_sensor, others, pose, north).pose,
+            with_offset=_gated_update_with_offset(
                 self.with_offset, of_pose, others, pose=pose, north=north
             ),
             sum_above=_sum_above(self.sum_above, measurements, innovations),
@@ -191,17 +191,21 @@ class SensorFusion:
         memories = tuple(SensorMemory(name, origin, origin) for name in names)
         return SensorFusion(origin, origin, memories)
 
-    def advanced(self, advance: Callable[[PoseFilter], PoseFilter]) -> SensorFusion:
-        """Return the state after a motion, given how a filter advances by it."""
-        return SensorFusion(
-            pose=advance(self.pose),
-            odometry=advance(self.odometry) if self.memories else self.odometry,
-            memories=tuple(memory.advanced(advance) for memory in self.memories),
-        )
+    def after(self, motion: MotionEstimate, in_window: PoseFilter | None = None) -> SensorFusion:
+        """Return the state after a step.
 
-    def after(self, motion: MotionEstimate) -> SensorFusion:
-        """Return the state after a step of the two-frame estimator."""
-        return self.advanced(lambda pose: pose.advanced(motion))
+        Args:
+            motion: the step.
+            in_window: the pose after it by the window; None for the two-frame estimator.
+        """
+        odometry = self.odometry
+        if self.memories:
+            odometry = odometry.after(motion, in_window)
+        return SensorFusion(
+            pose=self.pose.after(motion, in_window),
+            odometry=odometry,
+            memories=tuple(memory.after(motion, in_window) for memory in self.memories),
+        )
 
     def is_excluded(self, name: str) -> bool:
         """Return whether the sensor of that name is excluded."""
@@ -234,7 +238,7 @@ class SensorFusion:
         ]
         of_pose = [reading.of_pose(pose) for reading in readings]
         # The pose from all sensors, which gives the innovation of each measurement of the pose.
-        fused = _tested(self.pose, _joined(of_pose), pose, north)
+        fused = _gated_update(self.pose, _joined(of_pose), pose, north)
         # Then each sensor by itself: its outcome, and its tests.
         outcomes = []
         memories = []
@@ -329,19 +333,19 @@ def _joined(measured: Sequence[Sequence[Measurement]]) -> list[Measurement]:
     return [one for measurements in measured for one in measurements]
 
 
-def _tested(
+def _gated_update(
     pose_filter: PoseFilter,
     measurements: Sequence[Measurement],
     pose: Variable,
     north: NorthConfig,
-) -> _Tested:
+) -> _GatedUpdate:
     """Update a filter with measurements, gating each innovation.
 
     The covariance of the innovation includes that of the pose, so the gate widens as the odometry
     drifts. A measurement with its own robust loss is used as it is.
     """
     if not measurements:
-        return _Tested(pose_filter, ())
+        return _GatedUpdate(pose_filter, ())
     pose_filter = _with_world_states(pose_filter, measurements, pose, north)
     kept: list[Measurement] = []
     innovations: list[SensorInnovation] = []
@@ -362,7 +366,7 @@ def _tested(
         if weight > 0.0:
             kept.append(measurement)
         innovations.append(SensorInnovation(squared, weight))
-    return _Tested(pose_filter.updated(kept, pose), tuple(innovations))
+    return _GatedUpdate(pose_filter.updated(kept, pose), tuple(innovations))
 
 
 def _with_world_states(
@@ -424,7 +428,7 @@ def _innovation_squared(
     return float(squared_mahalanobis(innovation, covariance))
 
 
-def _tested_with_offset(
+def _gated_update_with_offset(
     pose_filter: PoseFilter,
     measurements: Sequence[Measurement],
     others: Sequence[Measurement],
@@ -456,7 +460,7 @@ def _tested_with_offset(
             own_cov[at, at] += OFFSET_WALK * measurement.covariance
             pose_filter = replace(pose_filter, own_cov=own_cov)
         offset.append(WithOffset(measurement, variable))
-    return _tested(pose_filter, [*offset, *others], pose, north).pose
+    return _gated_update(pose_filter, [*offset, *others], pose, north).pose
 
 
 def _with_offsets(

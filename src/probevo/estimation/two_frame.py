@@ -313,11 +313,10 @@ def _aligned_points(
             "Take reprojection, or another noise model.",
         )
     covariance_per_scale = noise.covariance_factor[:, None, None]
-    prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
     aligned = solve_alignment(
         tracks.prev_px,
         tracks.curr_px - noise.bias,
-        covariance_per_scale * prev_scale,
+        covariance_per_scale * noise.scale_of_prev,
         cov_curr_px=covariance_per_scale * noise.scale,
         camera=camera,
         guess=guess,

@@ -1,8 +1,8 @@
 """Which features are fixed to the vehicle: those of a bonnet, a landing skid or an arm in view.
 
 They stay where they are in both images however the camera moves, like a scene at rest. Where they
-are more than those of the scene, the motion that most features agree on is rest, or a turn about
-the part, by which a slow scene stays within RANSAC's threshold, too. After rest, the prediction
+outnumber those of the scene, the motion that most features agree on is rest, or a turn about the
+part, by which a slow scene stays within RANSAC's threshold, too. After rest, the prediction
 confirms either.
 
 So where many of the tracks that a solve has used stay where they are, those that have moved are
@@ -22,7 +22,6 @@ from probevo.estimation.ransac import MIN_INLIERS, InlierThreshold, find_consens
 from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
     CONFIDENCE,
-    MIN_UNPREDICTED,
     Hypothesis,
     presence_m2,
 )
@@ -61,7 +60,7 @@ def fixed_to_vehicle(
     """
     threshold_px = config.ransac.threshold_px
     against_px = AGAINST_FACTOR * threshold_px
-    fewest = MIN_UNPREDICTED * config.solver.min_tracks
+    fewest = config.solver.min_tracks_beyond_chance
     for frames_back in FRAMES_BACK:
         if frames_back > len(earlier.frames):
             break

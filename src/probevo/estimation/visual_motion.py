@@ -48,13 +48,6 @@ with ``student-t``. With more, the features do not agree on a motion."""
 MIN_INLIER_SHARE = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
-CHANCE_FACTOR = 2
-"""Multiple of ``solver.min_tracks`` below which inliers are so few that they may agree by chance:
-where RANSAC has confirmed a minority of the tracks, or where hardly any fit the predicted noise and
-they agree only under a larger one. Both are rare. Of 5,500 steps on forty rendered drives
-(``benchmarks/random_rigs.py``, two seeds) five are the former, all on one; one of these was 0.4 m
-off and claimed 9 mm. Of the latter, six of eleven tracks agreed on a standstill while the car drove
-2 m a step."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,7 @@ class VisualMotion:
     estimated_noise_factor: float | None = None
     """Factor by which the variances of the noise model would fit the residuals; None if they do not
     show it, or if the model keeps its scale."""
-    is_weak: bool = False
+    is_partly_determined: bool = False
     """Whether the tracks leave a direction of the motion open, status DEGENERATE, but agree with
     each other and with the prediction in all others."""
     num_out_of_domain: int | None = None
@@ -169,8 +162,7 @@ class _Solve:
         has_moved = solution.exceeds_noise and self.tracks.novelty == 1.0
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
-        dof = np.broadcast_to(self.noise.dof, solution.squared.shape)
-        return self.noise_factor * scale_of_residuals(solution.squared, dof)
+        return self.noise_factor * scale_of_residuals(solution.squared, self.noise.dof)
 
     def differs_from(self, T_curr_prev: FloatArray) -> bool:
         """Return whether its motion differs significantly from another one, [4, 4], given how much
@@ -179,8 +171,8 @@ class _Solve:
         if not np.isfinite(solution.cov).all():
             return True
         cov = _residual_scale(solution.squared, self.noise) * solution.cov
-        squared = normalized_error_squared(T_curr_prev[None], solution.T_curr_prev[None], cov[None])
-        return bool(squared[0] > MOTIONS_DIFFER_FROM)
+        squared = normalized_error_squared(T_curr_prev, solution.T_curr_prev, cov)
+        return bool(squared > MOTIONS_DIFFER_FROM)
 
     def noise_of_current_frame(self) -> StereoNoise:
         """Return the noise under which a window learns from the current frame as much as this
@@ -197,16 +189,15 @@ class _Solve:
         # The larger noise would also give weight again to the outliers of this solve, as if their
         # scatter were independent. So the variances grow by the gain in weight, too.
         squared = self.estimate.solution.squared
-        dof = np.minimum(np.broadcast_to(self.noise.dof, squared.shape), GAUSSIAN_FROM)
+        dof = np.minimum(self.noise.dof, GAUSSIAN_FROM)
         weight = dof / (dof + squared)
         weight_after = dof / (dof + squared / self.enlargement)
         weight_gain = float(weight_after.sum() / weight.sum())
-        scaled = self.noise.scaled(np.full(len(squared), excess_factor * weight_gain))
+        scaled = self.noise.scaled(excess_factor * weight_gain)
         if self.noise.refers_to == "residual":
             return scaled
         # The frame before, where new landmarks are anchored, is as noisy as predicted.
-        prev_scale = self.noise.scale if self.noise.prev_scale is None else self.noise.prev_scale
-        return replace(scaled, prev_scale=prev_scale)
+        return replace(scaled, prev_scale=self.noise.scale_of_prev)
 
 
 @dataclass(frozen=True)
@@ -314,8 +305,15 @@ class VisualEstimator:
             fewest=fewest,
             config=self._config,
         )
-        # The residuals of the two frames alone.
         solution = solve.estimate.solution
+        # Of a degenerate solve, a window can still use the directions that are determined.
+        is_partly_determined = (
+            status is Status.DEGENERATE
+            and solution.converged
+            and solve.estimate.num_inliers >= fewest
+            and priors.prediction.agrees(solution.T_curr_prev, solution.hessian)
+        )
+        # The residuals of the two frames alone.
         two_frames_only = self._two_frames_only(solve, priors)
         clock.lap("solve")
         # What the next step needs: the motion for its predictors, and weights of all N tracks, zero
@@ -326,6 +324,9 @@ class VisualEstimator:
         estimated_noise_factor = None
         if self._scales_noise and status is Status.OK:
             estimated_noise_factor = solve.estimated_noise_factor(two_frames_only)
+        disparities = DisparityFilter.none()
+        if status is Status.OK:
+            disparities = solve.estimate.disparities
         weights = np.zeros(len(tracks))
         weights[solve.used] = solve.estimate.weights
         outside = solve.noise.out_of_domain
@@ -337,13 +338,8 @@ class VisualEstimator:
             two_frames_only=two_frames_only,
             T_reference=T_reference,
             noise=solve.noise_of_current_frame(),
-            disparities=(
-                solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
-            ),
-            is_weak=status is Status.DEGENERATE
-            and solution.converged
-            and solve.estimate.num_inliers >= fewest
-            and priors.prediction.agrees(solution.T_curr_prev, solution.hessian),
+            disparities=disparities,
+            is_partly_determined=is_partly_determined,
             num_out_of_domain=None if outside is None else int(outside.sum()),
             estimated_noise_factor=estimated_noise_factor,
         )
@@ -453,7 +449,7 @@ class VisualEstimator:
         ``_solve_with_adapted_noise``."""
         used = consensus.inliers
         inliers = tracks.subset(used)
-        noise = self._noise_of(self._noise, inliers, phi[used], priors.noise_factor)
+        noise = self._noise_of(inliers, phi[used], priors.noise_factor)
         if priors.jitter_cov is not None:
             noise = replace(noise, jitter_cov=priors.jitter_cov)
         estimate = self._solve(
@@ -478,7 +474,7 @@ class VisualEstimator:
         """
         if self._config.ransac.mode != "reject":
             return None
-        noise = self._noise_of(self._noise, tracks, phi, priors.noise_factor)
+        noise = self._noise_of(tracks, phi, priors.noise_factor)
         found = self._solve(
             tracks,
             replace(noise, jitter_cov=solve.noise.jitter_cov),
@@ -486,7 +482,7 @@ class VisualEstimator:
             guess=priors.prediction.T_curr_prev,
             priors=priors,
         )
-        fewest = CHANCE_FACTOR * self._config.solver.min_tracks
+        fewest = self._config.solver.min_tracks_beyond_chance
         if found.num_inliers < max(fewest, solve.estimate.num_inliers + 1):
             return None
         # It may be the same motion, seen with more noise than predicted.
@@ -563,40 +559,34 @@ class VisualEstimator:
         random sample: selected around the motion of a few, they would understate the noise and
         confirm these few.
         """
-        noise = self._noise_of(self._noise, tracks, phi, noise_factor)
+        noise = self._noise_of(tracks, phi, noise_factor)
         noise = replace(noise, jitter_cov=jitter_cov)
         observations = StereoObservations.of(
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
         squared = evaluated_at(solution, observations).squared
-        dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _residual_scale(squared, noise)
-        agree = agree_with_noise(squared, dof, factor)
+        agree = agree_with_noise(squared, noise.dof, factor)
         if noise_factor * factor > MAX_SCALE:
             agree[:] = False
-        return _AdaptedNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
+        return _AdaptedNoise(agree, noise.scaled(factor), factor)
 
-    def _noise_of(
-        self, model: NoiseModel, tracks: Tracks, phi: FloatArray, noise_factor: float
-    ) -> StereoNoise:
-        """Return the noise of tracks by a noise model, with its variances multiplied by a factor,
-        and with what correcting the tracks may have left.
-
-        Args:
-            model: the noise model.
-            tracks: N tracks.
-            phi: their predictors, [N, M].
-            noise_factor: the factor.
+    def _noise_of(self, tracks: Tracks, phi: FloatArray, noise_factor: float) -> StereoNoise:
+        """Return the noise of N tracks, given their predictors φ, [N, M]; see ``_completed``.
 
         Raises:
-            InputError: a model of the user's own does not return a ``StereoNoise``.
+            InputError: a model of the user's own does not return the noise of N features.
         """
-        noise = predicted_noise(model, phi)
+        return self._completed(predicted_noise(self._noise, phi), tracks, noise_factor)
+
+    def _completed(self, noise: StereoNoise, tracks: Tracks, noise_factor: float) -> StereoNoise:
+        """Return the noise of N tracks by a model with its variances multiplied by a factor, and
+        with what correcting the tracks may have left."""
         if self._drops_time_correlation and tracks.are_aligned:
             noise = replace(noise, time_correlated=None)
         if noise_factor != 1.0:
-            noise = noise.scaled(np.full(len(tracks), noise_factor))
+            noise = noise.scaled(noise_factor)
         if tracks.velocity_error_px is not None:
             noise = noise.with_common_error(tracks.velocity_error_px)
         return noise
@@ -615,7 +605,9 @@ class VisualEstimator:
         """
         solution = solve.estimate.solution
         no_predictors = np.zeros((len(solve.tracks), 0))
-        equal = self._noise_of(StudentT(), solve.tracks, no_predictors, priors.noise_factor)
+        equal = self._completed(
+            predicted_noise(StudentT(), no_predictors), solve.tracks, priors.noise_factor
+        )
         plain = self._two_frame.solve(
             solve.tracks,
             replace(equal, jitter_cov=priors.jitter_cov),
@@ -628,9 +620,7 @@ class VisualEstimator:
         cov = plain.cov + solution.cov
         if not (plain.converged and np.isfinite(cov).all()):
             return solution.T_curr_prev
-        squared = normalized_error_squared(
-            plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
-        )[0]
+        squared = normalized_error_squared(plain.T_curr_prev, solution.T_curr_prev, cov)
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
 
 
@@ -641,8 +631,7 @@ def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:
         squared: eᵀ Σ⁻¹ e of each, [N].
         noise: their noise.
     """
-    dof = np.broadcast_to(noise.dof, (len(squared),))
-    return max(1.0, scale_of_residuals(squared, dof))
+    return max(1.0, scale_of_residuals(squared, noise.dof))
 
 
 def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool:
@@ -665,7 +654,8 @@ def fewest_inliers(
         config: settings of the solver.
     """
     may_be_chance = need_larger_noise or num_used < 0.5 * num_tracks
-    return config.solver.min_tracks * (CHANCE_FACTOR if may_be_chance else 1)
+    solver = config.solver
+    return solver.min_tracks_beyond_chance if may_be_chance else solver.min_tracks
 
 
 def evaluate_status(

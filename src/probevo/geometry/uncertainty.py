@@ -26,7 +26,7 @@ def invert(T_b_a: FloatArray, cov_b_a: FloatArray) -> tuple[FloatArray, FloatArr
     return T_a_b, _rotate_covariance(se3.adjoint(T_a_b), cov_b_a)
 
 
-def compound(
+def compound_pair(
     T_b_a: FloatArray, cov_b_a: FloatArray, T_c_b: FloatArray, cov_c_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return T_c_a = T_c_b T_b_a of two independent uncertain poses, and its covariance.
@@ -71,7 +71,7 @@ def compound_chain(
     T = np.eye(4)
     cov = np.zeros((6, 6))
     for k in range(len(T_prev_curr)):
-        T, cov = compound(T_prev_curr[k], cov_prev_curr[k], T, cov_c_b=cov)
+        T, cov = compound_pair(T_prev_curr[k], cov_prev_curr[k], T, cov_c_b=cov)
         T_world_cam[k] = T
         cov_world_cam[k] = cov
     return T_world_cam, cov_world_cam

@@ -41,7 +41,8 @@ class MotionCorrection(ABC):
 
 def read_correction(
     correction: MotionCorrection,
-    frames: tuple[Frame, Frame],
+    prev_frame: Frame,
+    frame: Frame,
     T_curr_prev: FloatArray,
     *,
     name: str,
@@ -51,7 +52,8 @@ def read_correction(
 
     Args:
         correction: the correction.
-        frames: the previous and the current frame.
+        prev_frame: the previous frame.
+        frame: the current frame.
         T_curr_prev: the solved motion, [4, 4], m.
         name: name of the correction in reports.
         cov: covariance of the motion, [6, 6].
@@ -60,7 +62,6 @@ def read_correction(
         InputError: the answer is neither a ``RelativePose`` nor a reason, or it is a motion between
             other frames. Exceptions of the correction itself are passed on.
     """
-    prev_frame, frame = frames
     answer = correction.correct(prev_frame, frame, T_curr_prev, cov=cov)
     if isinstance(answer, NoMeasurement):
         return Reading(name, reason=answer.reason)

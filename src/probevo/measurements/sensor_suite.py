@@ -53,20 +53,26 @@ class SensorSuite:
         return readings
 
     def read_correction(
-        self, prev_frame: Frame, frame: Frame, solved: tuple[FloatArray, FloatArray] | None
+        self,
+        prev_frame: Frame,
+        frame: Frame,
+        T_curr_prev: FloatArray,
+        *,
+        cov: FloatArray,
+        is_solved: bool,
     ) -> Reading | None:
         """Call the correction for a solved motion; None if there is no correction.
 
         Args:
             prev_frame: the previous frame.
             frame: the current frame.
-            solved: the motion T_curr_prev, [4, 4], and its covariance, [6, 6]; None if the step is
-                dead-reckoned.
+            T_curr_prev: the motion, [4, 4].
+            cov: its covariance, [6, 6].
+            is_solved: whether the motion was solved; a dead-reckoned one is not corrected.
         """
         if self._correction is None:
             return None
         name, correction = self._correction
-        if solved is None:
+        if not is_solved:
             return Reading(name, reason="dead-reckoned step")
-        T_curr_prev, cov = solved
-        return read_correction(correction, (prev_frame, frame), T_curr_prev, name=name, cov=cov)
+        return read_correction(correction, prev_frame, frame, T_curr_prev, name=name, cov=cov)

@@ -85,7 +85,7 @@ class JitterUnknown:
         curr_px: FloatArray,
         points: PointPrior,
         *,
-        roots: JitterPriors,
+        jitter_priors: JitterPriors,
         prior: DisparityPrior | None,
         camera: Intrinsics,
         frame: int,
@@ -96,7 +96,7 @@ class JitterUnknown:
             prev_px: observations of N features in the previous frame, [N, 4], px.
             curr_px: those in the current frame, [N, 4], px.
             points: the points of the previous frame.
-            roots: the priors of the jitter in both frames.
+            jitter_priors: the priors of the jitter in both frames.
             prior: prior of disparities and jitter by the disparity filter.
             camera: the intrinsics.
             frame: the index of the current frame.
@@ -105,8 +105,8 @@ class JitterUnknown:
             prev_px,
             curr_px,
             camera,
-            curr_root=roots.curr_root,
-            prev_root=roots.prev.root,
+            curr_root=jitter_priors.curr_root,
+            prev_root=jitter_priors.prev.root,
             gain=points.gain,
         )
         # The disparity filter knows how the previous jitter has moved its states; for the others,
@@ -116,8 +116,8 @@ class JitterUnknown:
             effects.sensitivity[prior.rows, 2:] = 0.0 if known is None else known.sensitivity
         return JitterUnknown(
             variable=Variable(kind="jitter", frame=frame),
-            curr_root=roots.curr_root,
-            prev=roots.prev,
+            curr_root=jitter_priors.curr_root,
+            prev=jitter_priors.prev,
             effects=effects,
         )
 
@@ -183,13 +183,13 @@ class StereoObservations:
             disparity_prior: the disparity filter's prior of some of the disparities.
         """
         count = len(prev_px)
-        roots = None
+        jitter_priors = None
         if noise.jitter_cov is not None:
-            roots = JitterPriors.of(noise.jitter_cov, disparity_prior)
+            jitter_priors = JitterPriors.of(noise.jitter_cov, disparity_prior)
             prev_px = np.array(prev_px, order="C")
             # The known part of the previous jitter is a correction of the observations.
-            if roots.prev.mean.any():
-                prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ roots.prev.mean
+            if jitter_priors.prev.mean.any():
+                prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ jitter_priors.prev.mean
         loss = RobustLoss.student_t() if loss is None else loss
         # Copy: a model may give all features the same scale, as a read-only view without strides.
         # That is another type for Numba, which would compile everything again.
@@ -211,12 +211,12 @@ class StereoObservations:
         curr_unbiased[:, 2] += points.error
         intrinsics = Intrinsics.of(camera)
         jitter = None
-        if roots is not None:
+        if jitter_priors is not None:
             jitter = JitterUnknown.of(
                 prev_px,
                 curr_unbiased,
                 points,
-                roots=roots,
+                jitter_priors=jitter_priors,
                 prior=disparity_prior,
                 camera=intrinsics,
                 frame=poses.curr.frame,

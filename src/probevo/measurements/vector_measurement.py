@@ -127,7 +127,7 @@ class VectorMeasurement(ABC):
         innovation_cov = self.covariance + jacobian @ covariance @ jacobian.T
         return float(squared_mahalanobis(innovation, innovation_cov))
 
-    def weighed(self, values: Values, covariance: FloatArray, *, of: Variable) -> Self:
+    def reweighted(self, values: Values, covariance: FloatArray, *, of: Variable) -> Self:
         """Return the same measurement, if its loss is ``bounded``, with the weight that this loss
         has for the innovation against a prior (see ``innovation_squared``), instead of for the
         residual by itself.

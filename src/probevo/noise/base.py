@@ -72,8 +72,15 @@ class StereoNoise:
             jitter_cov=self.jitter_cov,
         )
 
-    def scaled(self, factors: FloatArray) -> StereoNoise:
-        """Return the same noise with every (co)variance of a feature times its factor, [N]."""
+    @property
+    def scale_of_prev(self) -> FloatArray:
+        """Scale matrix of the earlier observation y, [N, 4, 4], px²."""
+        return self.scale if self.prev_scale is None else self.prev_scale
+
+    def scaled(self, factors: FloatArray | float) -> StereoNoise:
+        """Return the same noise with every (co)variance of a feature times its factor, [N], or
+        times one factor for all."""
+        factors = np.full(len(self.dof), factors)
         time_correlated = self.time_correlated
         if time_correlated is not None:
             time_correlated = factors * time_correlated
@@ -178,7 +185,7 @@ def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
         phi: the places of the features in its prediction space, [N, M].
 
     Raises:
-        InputError: its ``predict`` does not return a ``StereoNoise``.
+        InputError: its ``predict`` does not return a ``StereoNoise`` of N features.
     """
     noise = model.predict(phi)
     if not isinstance(noise, StereoNoise):
@@ -186,6 +193,15 @@ def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
             "noise model",
             f"its predict returns a {type(noise).__name__}, where a StereoNoise is expected.",
             "See CONTRIBUTING.md, “Add a noise model”.",
+        )
+    shapes = (noise.scale.shape, noise.dof.shape, noise.bias.shape)
+    count = len(phi)
+    if shapes != ((count, 4, 4), (count,), (count, 4)):
+        raise InputError(
+            "noise model",
+            f"for {count} features, its predict returns scale {shapes[0]}, dof {shapes[1]}, bias"
+            f" {shapes[2]}.",
+            "Expected are [N, 4, 4], [N] and [N, 4].",
         )
     return noise
 

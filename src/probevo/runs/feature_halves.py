@@ -193,6 +193,4 @@ def _difference_squared(
     """Return the squared difference of two motions with covariances, in units of their sum."""
     T_one, cov_one = one
     T_other, cov_other = other
-    return float(
-        normalized_error_squared(T_one[None], T_other[None], (cov_one + cov_other)[None])[0]
-    )
+    return float(normalized_error_squared(T_one, T_other, cov_one + cov_other))

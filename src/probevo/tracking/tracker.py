@@ -116,7 +116,7 @@ class Tracked:
         return replace(self, state=replace(self.state, fixed_ids=fixed_ids))
 
     @staticmethod
-    def nothing(state: TrackingState) -> Tracked:
+    def all_lost(state: TrackingState) -> Tracked:
         """Return the result of having lost all features of that state."""
         emptied = replace(
             TrackingState.none(state.next_id),

@@ -23,6 +23,9 @@ from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.workers import Workers
 
+OTHER_KIND = "Leave it out, or choose another --kind."
+"""The cure of a setting that the chosen kind does not have."""
+
 
 @dataclass(frozen=True)
 class TrainingContext:

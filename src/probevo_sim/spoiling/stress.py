@@ -24,7 +24,7 @@ from probevo.arrays import FloatArray, Image, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import compound, normalized_error_squared
+from probevo.geometry.uncertainty import compound_pair, normalized_error_squared
 from probevo.noise.named import noise_model
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
@@ -246,7 +246,7 @@ def step_errors(clean: RunResult, spoiled: RunResult, kept: IntArray) -> StepErr
         T_curr_prev = np.eye(4)
         cov = np.zeros((6, 6))
         for step in steps:
-            T_curr_prev, cov = compound(
+            T_curr_prev, cov = compound_pair(
                 T_curr_prev, cov, clean.T_curr_prev[step], cov_c_b=clean.cov[step]
             )
         both = cov + spoiled.cov[k]

@@ -209,9 +209,7 @@ def test_the_right_noise_is_the_likeliest(world: PointWorld, drive: Drive) -> No
     """Of observations, though what is judged are residuals."""
     noise = right_noise(drive)
     likelihoods = [
-        expected(
-            world, drive, noise.scaled(np.full(len(drive.phi), factor))
-        ).feature_errors.log_likelihood.mean()
+        expected(world, drive, noise.scaled(factor)).feature_errors.log_likelihood.mean()
         for factor in (0.8, 1.0, 1.25)
     ]
     assert likelihoods[1] > max(likelihoods[0], likelihoods[2])

@@ -37,7 +37,8 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
 from probevo.camera.image_errors import ImageErrors
 from probevo.estimation.rig_update import CommonMode
-from probevo.estimation.window.field_variation import POSE, FieldVariation
+from probevo.estimation.window.equations import POSE
+from probevo.estimation.window.field_variation import FieldVariation
 from probevo.geometry import se3
 
 

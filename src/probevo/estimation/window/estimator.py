@@ -21,9 +21,12 @@ from probevo.estimation.motion_estimate import MAX_UNKNOWN, Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
-from probevo.estimation.window.further_measurements import tested_against, with_measurements
+from probevo.estimation.window.further_measurements import (
+    reweighted_and_combined,
+    with_measurements,
+)
 from probevo.estimation.window.marginalization import without_blind
-from probevo.estimation.window.new_frame import FoundAgain, with_new_pose, with_tracks
+from probevo.estimation.window.new_frame import ReacquiredFeatures, with_new_pose, with_tracks
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
@@ -40,7 +43,7 @@ class SolvedTracks:
 
     prev: int
     """Index of the frame where they start."""
-    solved: CalibratedMotion
+    calibrated: CalibratedMotion
     noise_factor: float = 1.0
     """Factor of the variance of tracks that span several frames."""
 
@@ -69,7 +72,7 @@ class WindowEstimator:
         velocity: ConstantVelocity | None = None,
         intersection: CovarianceIntersection | None = None,
         measurements: Sequence[Measurement] = (),
-        found_again: SolvedTracks | None = None,
+        reacquired: SolvedTracks | None = None,
     ) -> Window:
         """Return the window after a step, starting from the motion that two frames have shown.
 
@@ -87,11 +90,11 @@ class WindowEstimator:
             intersection: how features and their corrected motion share the information of their
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
-            found_again: tracks from the last frame before dead reckoning, which see it again; None
+            reacquired: tracks from the last frame before dead reckoning, which see it again; None
                 if there are none.
         """
-        solved = step.solved
-        visual = solved.visual
+        calibrated = step.calibrated
+        visual = calibrated.visual
         features = self._features_of(step)
         if visual.status is not Status.OK or features is None:
             return self._without_solve(
@@ -105,8 +108,8 @@ class WindowEstimator:
         tracks, noise = features
         if intersection is not None:
             noise = noise.scaled(intersection.of_features(visual.weights[visual.used]))
-        if solved.jitter_cov is not None:
-            window = replace(window, jitter_cov=solved.jitter_cov)
+        if calibrated.jitter_cov is not None:
+            window = replace(window, jitter_cov=calibrated.jitter_cov)
         after = self.with_features(
             inertial_steps.with_inflated_factor_if_refuted(window, motion),
             tracks,
@@ -114,16 +117,16 @@ class WindowEstimator:
             two_frames=motion,
             measurements=measurements,
             motion_factor=None if intersection is None else intersection.motion,
-            found_again=found_again,
+            reacquired=reacquired,
         )
-        if solved.corrected.rig is None or solved.rig is None:
+        if calibrated.corrected_tracks.rig is None or calibrated.rig is None:
             return after
         # The motion was solved from tracks that were corrected by the estimate before the step.
         effect = after.calibration_effect.with_step(
-            solved.common_mode,
-            used=solved.corrected.rig.image,
-            errors=solved.rig.image,
-            velocity_cov=solved.velocity_cov,
+            calibrated.common_mode,
+            used=calibrated.corrected_tracks.rig.image,
+            errors=calibrated.rig.image,
+            velocity_cov=calibrated.velocity_cov,
         )
         return replace(after, calibration_effect=effect)
 
@@ -142,7 +145,11 @@ class WindowEstimator:
         # Features may show a part of the motion, and the velocity before the rest; at the start,
         # the prior of the motion model stands in for that.
         known = velocity or motion
-        if intersection is None and step.solved.visual.is_weak and known.prev_frame == step.prev:
+        if (
+            intersection is None
+            and step.calibrated.visual.is_partly_determined
+            and known.prev_frame == step.prev
+        ):
             weak = self._with_weak_features(window, step, known=known, measurements=measurements)
             if weak is not None:
                 return weak
@@ -161,16 +168,16 @@ class WindowEstimator:
     def _features_of(self, step: SolvedTracks) -> tuple[Tracks, StereoNoise] | None:
         """Return the tracks of a solve as the window takes them, and their noise; None without a
         solve that may be trusted."""
-        solved = step.solved
-        visual = solved.visual
-        if not (visual.status is Status.OK or visual.is_weak) or visual.noise is None:
+        calibrated = step.calibrated
+        visual = calibrated.visual
+        if not (visual.status is Status.OK or visual.is_partly_determined) or visual.noise is None:
             return None
         noise = visual.noise
         if step.noise_factor != 1.0:
-            noise = noise.scaled(np.full(len(noise.scale), step.noise_factor))
+            noise = noise.scaled(step.noise_factor)
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
-        rig = solved.corrected.rig
-        tracks = solved.corrected.simultaneous.subset(visual.used)
+        rig = calibrated.corrected_tracks.rig
+        tracks = calibrated.corrected_tracks.simultaneous.subset(visual.used)
         if rig is not None:
             tracks = tracks.corrected_for_window(rig, self._camera)
         return tracks, noise
@@ -184,7 +191,7 @@ class WindowEstimator:
         two_frames: RelativePose,
         measurements: Sequence[Measurement] = (),
         motion_factor: float | None = None,
-        found_again: SolvedTracks | None = None,
+        reacquired: SolvedTracks | None = None,
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
 
@@ -201,7 +208,7 @@ class WindowEstimator:
                 entered the solve of two frames.
             motion_factor: factor of the covariance with which ``two_frames`` counts beside the
                 features; None if it does not.
-            found_again: tracks from an earlier frame to the new one, which count beside these.
+            reacquired: tracks from an earlier frame to the new one, which count beside these.
         """
         prev = window.slot(two_frames.prev_frame)
         frame = two_frames.curr.frame
@@ -213,7 +220,7 @@ class WindowEstimator:
                 tracks,
                 noise,
                 prev=prev,
-                found=found_again,
+                reacquired=reacquired,
             )
             counted = list(measurements)
             if motion_factor is not None:
@@ -262,7 +269,7 @@ class WindowEstimator:
             None where all that does not fix the motion either.
         """
         features = self._features_of(step)
-        two_frames = step.solved.visual.two_frames_only
+        two_frames = step.calibrated.visual.two_frames_only
         if features is None or two_frames is None:
             return None
         tracks, noise = features
@@ -317,7 +324,7 @@ class WindowEstimator:
         window = inertial_steps.without_factor_if_worse(window, motion)
         # The motion by dead reckoning or IMU alone, before the sensors.
         reckoned = _bounded(inertial_steps.predicted_motion(window, frame) or motion)
-        measurements, guess = tested_against(reckoned, measurements, window)
+        measurements, guess = reweighted_and_combined(reckoned, measurements, window)
         prev = window.slot(reckoned.prev_frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         if not motion_is_measured:
@@ -407,7 +414,7 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         prev: int = -1,
-        found: SolvedTracks | None = None,
+        reacquired: SolvedTracks | None = None,
     ) -> Window:
         """Return the window with one more frame, which is not yet adjusted.
 
@@ -420,22 +427,22 @@ class WindowEstimator:
             noise: of these N tracks.
             prev: slot of the previous frame, which is the last one unless those after it are
                 blind.
-            found: tracks from an earlier frame, if there are any that see it again.
+            reacquired: tracks from an earlier frame, if there are any that see it again.
         """
         prev %= len(window)
         extended = with_new_pose(window, frame, T_curr_prev, prev=prev)
-        features = None if found is None else self._features_of(found)
-        if found is None or features is None:
+        features = None if reacquired is None else self._features_of(reacquired)
+        if reacquired is None or features is None:
             return self._with_tracks(extended, tracks, noise, prev=prev)
         # A feature of both counts once, by its landmark in the earlier frame.
-        found_tracks, found_noise = features
-        earlier = FoundAgain(window.slot(found.prev), found_tracks.ids)
-        extended = self._with_tracks(extended, tracks, noise, prev=prev, found=earlier)
-        others = np.flatnonzero(~np.isin(found_tracks.ids, tracks.ids))
+        reacquired_tracks, reacquired_noise = features
+        earlier = ReacquiredFeatures(window.slot(reacquired.prev), reacquired_tracks.ids)
+        extended = self._with_tracks(extended, tracks, noise, prev=prev, reacquired=earlier)
+        others = np.flatnonzero(~np.isin(reacquired_tracks.ids, tracks.ids))
         return self._with_tracks(
             extended,
-            found_tracks.subset(others),
-            found_noise.subset(others),
+            reacquired_tracks.subset(others),
+            reacquired_noise.subset(others),
             prev=earlier.slot,
         )
 
@@ -446,14 +453,14 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         prev: int,
-        found: FoundAgain | None = None,
+        reacquired: ReacquiredFeatures | None = None,
     ) -> Window:
         return with_tracks(
             window,
             tracks,
             noise,
             prev=prev,
-            found=found,
+            reacquired=reacquired,
             camera=self._camera,
             loss=self._loss,
         )

@@ -27,9 +27,9 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.distortion_field import NUM_COEFFICIENTS
+from probevo.estimation.window.equations import POSE
 from probevo.geometry import se3
 
-POSE = 6
 SHARE = 0.5
 """Variance of d over τ². On ways there and back (``benchmarks/there_and_back.py``), where the field
 of the lenses cancels, errors of ten pieces of five recordings by four rigs then have a NEES / 6 of

@@ -50,11 +50,11 @@ def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Wi
     return replace(window, prior=MarginalPrior(information, vector))
 
 
-def tested_against(
+def reweighted_and_combined(
     motion: RelativePose, measurements: Sequence[Measurement], window: Window
 ) -> tuple[list[Measurement], FloatArray]:
-    """Weigh measurements of the next pose by how well they agree with a dead-reckoned motion, and
-    combine all of them.
+    """Reweight measurements of the next pose by their innovations against a dead-reckoned motion,
+    and combine all of them.
 
     A window linearises its measurements once. Where a precise sensor contradicts the dead-reckoned
     motion by tens of degrees, that has to be at the pose that follows from both.
@@ -71,11 +71,11 @@ def tested_against(
         return [], motion.T_curr_prev
     T_prev_world = window.T_cam_world[window.slot(motion.prev_frame)]
     values = {**window.values(), motion.curr: motion.T_curr_prev @ T_prev_world}
-    weighed = [
-        one.weighed(values, motion.covariance, of=motion.curr)
+    reweighted = [
+        one.reweighted(values, motion.covariance, of=motion.curr)
         if isinstance(one, VectorMeasurement) and motion.curr in one.variables
         else one
         for one in measurements
     ]
-    optimum = levenberg_marquardt.minimize([motion, *weighed], values, [motion.curr])
-    return weighed, optimum.values[motion.curr] @ se3.inverse(T_prev_world)
+    optimum = levenberg_marquardt.minimize([motion, *reweighted], values, [motion.curr])
+    return reweighted, optimum.values[motion.curr] @ se3.inverse(T_prev_world)

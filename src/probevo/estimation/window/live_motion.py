@@ -7,7 +7,6 @@ from one live pose to the next, so that they compound to it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -120,26 +119,6 @@ def live_pose(window: Window) -> PoseFilter:
         own_cov=newest.cov,
         common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
     )
-
-
-def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter], PoseFilter]:
-    """Return how a filter of the pose advances by a step of the live path.
-
-    As long as no sensor has corrected it, it is the window's own pose.
-
-    Args:
-        motion: the step (``live_motion``).
-        window: after the step.
-    """
-    newest = live_pose(window)
-
-    def advance(pose: PoseFilter) -> PoseFilter:
-        """Carry a corrected pose on by the motion; any other is where the window has it."""
-        if pose.is_corrected:
-            return pose.advanced(motion)
-        return pose.moved_to(newest)
-
-    return advance
 
 
 def _log_volume(cov: FloatArray) -> float:

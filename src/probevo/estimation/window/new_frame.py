@@ -28,7 +28,7 @@ MIN_VARIANCE_PX2 = 1e-12
 """Variance of a time-correlated disparity error in a noise model that knows none."""
 
 
-class FoundAgain(NamedTuple):
+class ReacquiredFeatures(NamedTuple):
     """Features of a frame before a gap that are seen again."""
 
     slot: int
@@ -68,7 +68,7 @@ def with_tracks(
     noise: StereoNoise,
     *,
     prev: int,
-    found: FoundAgain | None = None,
+    reacquired: ReacquiredFeatures | None = None,
     camera: StereoCamera,
     loss: RobustLoss,
 ) -> Window:
@@ -84,7 +84,7 @@ def with_tracks(
             b₁ and b₂.
         noise: of these N tracks.
         prev: slot of the frame where they start.
-        found: features of a frame before a gap; where a track is of one of these, its landmark
+        reacquired: features of a frame before a gap; where a track is of one of these, its landmark
             goes on, and gets an observation in the previous frame, too.
         camera: the rectified camera.
         loss: the robust loss of the observations.
@@ -95,23 +95,22 @@ def with_tracks(
     # The landmark of each track; new ones are numbered behind those of the window.
     rows = _rows_of(window, tracks.ids, prev)
     is_in_prev = rows >= 0
-    if found is not None:
-        of_found = np.where(
-            np.isin(tracks.ids, found.ids), _rows_of(window, tracks.ids, found.slot), -1
+    if reacquired is not None:
+        of_reacquired = np.where(
+            np.isin(tracks.ids, reacquired.ids), _rows_of(window, tracks.ids, reacquired.slot), -1
         )
-        rows = np.where(is_in_prev, rows, of_found)
+        rows = np.where(is_in_prev, rows, of_reacquired)
     is_new = rows < 0
     rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
     if noise.refers_to == "residual":
-        noise = noise.scaled(np.full(len(tracks), 0.5))
-    prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
+        noise = noise.scaled(0.5)
     parameters = loss.parameters(noise.dof)
     # Observations: all in the new frame, and in the frame before those that it does not have yet.
     # For new landmarks that is the anchor.
     first_px = tracks.prev_px[is_new]
     added = np.flatnonzero(~is_in_prev)
     # Each observation counts with the noise at its own time.
-    scale = np.concatenate([prev_scale[added], noise.scale])
+    scale = np.concatenate([noise.scale_of_prev[added], noise.scale])
     # A bias is the mean of a step's residual: an observation has those of all steps since the
     # first of its track in its error.
     bias = np.concatenate([window.landmarks.bias, np.zeros_like(first_px)])

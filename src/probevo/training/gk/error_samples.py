@@ -185,7 +185,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
     def predict(phi: FloatArray) -> StereoNoise:
         """Predict the noise of n features of this drive, [n, M]."""
         noise = task.model.predict(phi)
-        return noise if task.factor == 1.0 else noise.scaled(np.full(len(phi), task.factor))
+        return noise if task.factor == 1.0 else noise.scaled(task.factor)
 
     expectation = expect(
         task.drive,

@@ -21,9 +21,7 @@ from probevo.training.settings import (
     KernelSettings,
     TrainSettings,
 )
-from probevo.training.trainer import Trainer, TrainingContext
-
-OTHER_KIND = "Leave it out, or choose another --kind."
+from probevo.training.trainer import OTHER_KIND, Trainer, TrainingContext
 
 
 def learn_pruned_kernel(context: TrainingContext) -> GeneralizedKernel:

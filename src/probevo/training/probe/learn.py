@@ -18,7 +18,7 @@ from probevo.training.probe.samples import gather_samples
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
 from probevo.training.settings import PROBE_PREDICTORS, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
-from probevo.training.trainer import Trainer, TrainingContext
+from probevo.training.trainer import OTHER_KIND, Trainer, TrainingContext
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,5 @@ KNN_TRAINER = Trainer(
     num_iterations=num_iterations,
     default_predictors=PROBE_PREDICTORS,
     learns_from_positions=True,
-    unused_settings={
-        f"gk.{name}": "Leave it out, or choose another --kind."
-        for name in KernelSettings.model_fields
-    },
+    unused_settings={f"gk.{name}": OTHER_KIND for name in KernelSettings.model_fields},
 )
