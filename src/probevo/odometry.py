@@ -551,6 +551,7 @@ class StereoOdometry:
             fusion=fusion,
             features=solved.features(T_of_images),
             is_frozen=solved.observed.is_frozen,
+            gyro_period_ns=prediction.gyro_period_ns,
             window=window,
             last_usable=state.last_usable_after(prediction.duration_s, two_frame),
             unconnected=state.unconnected_after(

@@ -13,7 +13,7 @@ from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_steps import with_samples
 from probevo.estimation.window.window import Window
 from probevo.measurements.constant_velocity import ConstantVelocity
-from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
+from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro, period_after
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.variables import pose_of
@@ -38,6 +38,8 @@ class Prediction:
     """The same rotation as a measurement, whose covariance includes the bias's."""
     gyro_bias: GyroBias | None
     """Estimate of the gyro's bias at the current frame."""
+    gyro_period_ns: float | None
+    """Usual time between samples of the gyro, ns; None before the first."""
     window: Window | None
     """The window, with the IMU samples since its last frame; None without a window."""
 
@@ -122,7 +124,8 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
     if imu is not None and state.gyro_bias is not None:
         bias = state.gyro_bias.predicted(duration_s, imu)
         start_ns = state.frame.stamp_ns
-        if frame.imu is not None and covers(frame.imu, start_ns, frame.stamp_ns):
+        usual_period_ns = state.gyro_period_ns
+        if frame.imu is not None and covers(frame.imu, start_ns, frame.stamp_ns, usual_period_ns):
             gyro = integrate_gyro(
                 frame.imu, start_ns, frame.stamp_ns, calibration=imu, bias_rad_s=bias.mean
             )
@@ -148,6 +151,7 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
         gyro=gyro,
         rotation=rotation,
         gyro_bias=bias,
+        gyro_period_ns=period_after(frame.imu, state.gyro_period_ns),
         window=window,
     )
 

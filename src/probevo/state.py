@@ -110,6 +110,8 @@ class OdometryState:
     last_usable: LastUsable | None = None
     """The frame from which the path is dead-reckoned; None if the motion to the last frame was
     solved from images."""
+    gyro_period_ns: float | None = None
+    """Usual time between samples of the gyro, ns; None before the first."""
     unconnected: Unconnected | None = None
     """The last usable frame before steps that were dead-reckoned, though the last one was solved,
     until features connect it with a frame after them; None without a window."""

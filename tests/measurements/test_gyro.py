@@ -10,7 +10,13 @@ from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
-from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
+from probevo.measurements.gyro import (
+    GyroBias,
+    GyroRotation,
+    covers,
+    integrate_gyro,
+    period_after,
+)
 from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu import hold_over_interval
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -300,6 +306,35 @@ def test_samples_with_a_hole_do_not_cover_an_interval() -> None:
     ):
         zero = np.zeros((len(stamps_ns), 3))
         assert covers(ImuSamples(np.array(stamps_ns), zero, zero), 0, 100) is enough
+
+
+def test_the_samples_that_a_dropout_has_left_do_not_cover_it() -> None:
+    """At their usual distance of 5 ns, no more than three of 20 are missing; the two around a
+    dropout would be as far apart as usual if nothing else were known."""
+    for stamps_ns in ([-1000, 2000], [0, 5, 100], [0, 50, 100]):
+        zero = np.zeros((len(stamps_ns), 3))
+        samples = ImuSamples(np.array(stamps_ns), zero, zero)
+        assert not covers(samples, 0, 100, usual_period_ns=5.0)
+    zero = np.zeros((19, 3))
+    dense = ImuSamples(np.r_[np.arange(0, 80, 5), 90, 95, 100], zero, zero)
+    assert covers(dense, 0, 100, usual_period_ns=5.0)
+
+
+def test_the_usual_period_outlasts_a_dropout_and_follows_another_rate() -> None:
+    """From 200 to 20 Hz; the samples at 20 Hz cover their intervals again after ten frames."""
+    zero = np.zeros((3, 3))
+    usual_ns = 5e6
+    dropout = ImuSamples(np.array([0, 500, 1000]) * 10**6, zero, zero)
+    for _ in range(5):
+        assert not covers(dropout, 0, 10**9, usual_ns)
+        usual_ns = period_after(dropout, usual_ns) or 0.0
+    slower = ImuSamples(np.array([0, 50, 100]) * 10**6, zero, zero)
+    usual_ns = 5e6
+    for _ in range(10):
+        usual_ns = period_after(slower, usual_ns) or 0.0
+    assert covers(slower, 0, 10**8, usual_ns)
+    assert period_after(None, usual_ns) == usual_ns
+    assert period_after(slower, None) == 50e6
 
 
 def test_no_samples_cover_nothing() -> None:

@@ -14,7 +14,10 @@ from probevo.sequences.imu_calibration import ImuCalibration
 MAX_UNSEEN = 0.25
 """Largest share of an interval without samples: before the first, after the last, and in gaps."""
 HOLE = 3.0
-"""A gap is longer than this many median sample periods."""
+"""A gap is longer than this many sample periods."""
+PERIOD_MEMORY = 0.9
+"""Weight of the usual sample period against that of one interval, in the mean of their logarithms:
+a dropout of half a second hardly changes it, and another rate is the usual one after ten frames."""
 _NO_BIAS = np.zeros(3)
 
 
@@ -32,16 +35,41 @@ class GyroRotation:
     duration_s: float
 
 
-def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
-    """Return whether the samples cover the interval; those of dropped frames may be missing."""
+def covers(
+    imu: ImuSamples, start_ns: int, end_ns: int, usual_period_ns: float | None = None
+) -> bool:
+    """Return whether the samples cover the interval; those of dropped frames may be missing.
+
+    Args:
+        imu: the samples.
+        start_ns, end_ns: the interval, ns.
+        usual_period_ns: sample period in the intervals before, ns (``period_after``); None if there
+            were none. The few samples that a dropout has left do not show it.
+    """
     if not len(imu.stamps_ns):
         return False
     ends_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
     between_ns = np.diff(imu.stamps_ns)
-    holes_ns = (
-        between_ns[between_ns > HOLE * np.median(between_ns)] if len(between_ns) else between_ns
-    )
+    period_ns = np.median(between_ns) if len(between_ns) else 0.0
+    if usual_period_ns is not None:
+        period_ns = min(period_ns, usual_period_ns)
+    holes_ns = between_ns[between_ns > HOLE * period_ns]
     return ends_ns + int(holes_ns.sum()) <= MAX_UNSEEN * (end_ns - start_ns)
+
+
+def period_after(imu: ImuSamples | None, usual_period_ns: float | None) -> float | None:
+    """Return the usual sample period, ns, after one more interval; None before the first samples.
+
+    Args:
+        imu: the samples of the interval, if it has any.
+        usual_period_ns: the usual period before.
+    """
+    if imu is None or len(imu.stamps_ns) < 2:
+        return usual_period_ns
+    period_ns = float(np.median(np.diff(imu.stamps_ns)))
+    if usual_period_ns is None:
+        return period_ns
+    return float(usual_period_ns**PERIOD_MEMORY * period_ns ** (1.0 - PERIOD_MEMORY))
 
 
 def integrate_gyro(
