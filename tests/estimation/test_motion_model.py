@@ -270,6 +270,23 @@ def test_the_second_frame_is_never_a_gap() -> None:
     assert not MotionModel.at_start(CONFIG).is_gap(100.0)
 
 
+@pytest.mark.parametrize("gap_s", [0.5, 2.0])
+def test_a_step_over_missing_frames_gives_a_mean_velocity(gap_s: float) -> None:
+    """The vehicle brakes by one standard deviation all the while: the velocity at the end, and the
+    next motion, are within what is claimed, as after a recovery over the same time."""
+    model = driving(30)
+    brakes = np.zeros(6)
+    brakes[2] = CONFIG.acceleration_m_s2
+    path = se3.exp(gap_s * TWIST_S + 0.5 * gap_s**2 * brakes)
+    after = model.after_solve(gap_s, path, COV)
+    recovered = model.after_recovery(STEP_S, gap_s, path, cov=COV)
+    np.testing.assert_array_equal(after.twist_sigma, recovered.twist_sigma)
+    velocity = TWIST_S + gap_s * brakes
+    assert abs(after.twist[2] - velocity[2]) < 1.05 * after.twist_sigma[2]
+    following = se3.exp(STEP_S * (velocity + 0.5 * STEP_S * brakes))
+    assert not after.predict(STEP_S, None).fails_gate(following, COV)
+
+
 def test_a_gap_does_not_change_what_is_usual() -> None:
     model = reckoned(driving(), 5.0)
     assert model.usual_step_s == pytest.approx(STEP_S)

@@ -332,7 +332,20 @@ class MotionModel:
     def after_solve(
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
-        """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
+        """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6].
+
+        A step gives its mean velocity. Over missing frames, the velocity at its end differs by half
+        of the change over that time, which is unknown.
+        """
+        after = self._after_mean_velocity(duration_s, T_curr_prev, cov)
+        if not self.is_gap(duration_s):
+            return after
+        return replace(after, twist_sigma=after._drifted_sigma(0.5 * duration_s))
+
+    def _after_mean_velocity(
+        self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
+    ) -> MotionModel:
+        """Return the model after a solved motion, with its mean velocity."""
         # The new velocity is independent of earlier dead reckoning, so ``rejections`` and
         # ``path_sensitivity`` are reset.
         twist = se3.log(T_curr_prev) / duration_s
@@ -385,10 +398,8 @@ class MotionModel:
     def after_recovery(
         self, duration_s: float, path_s: float, T_curr_usable: FloatArray, cov: FloatArray
     ) -> MotionModel:
-        """Return the model after a solved motion over several frames.
-
-        Such a motion gives the mean velocity. The velocity at its end differs by half of the change
-        over that time, which is unknown.
+        """Return the model after a solved motion over several frames, which gives a mean velocity;
+        see ``after_solve``.
 
         Args:
             duration_s: time between the last two frames.
@@ -398,7 +409,7 @@ class MotionModel:
         """
         # A mean velocity tells little of the accelerations, so that their scale stays.
         mean = replace(
-            self.after_solve(path_s, T_curr_usable, cov),
+            self._after_mean_velocity(path_s, T_curr_usable, cov),
             acceleration_scale=self.acceleration_scale,
         )
         rate = self._with_step(duration_s)
