@@ -405,6 +405,20 @@ def test_the_evaluation_of_two_frames_is_as_uncertain_with_another_measurement()
     np.testing.assert_allclose(np.diag(beside.cov), np.diag(alone.cov), rtol=0.02)
 
 
+def test_noisy_images_leave_other_measurements_as_good_as_they_are() -> None:
+    """The features show half as much noise again as the model says, so the covariance is enlarged:
+    that of the rotation stays the gyro's."""
+    tracks = seen_twice(np.random.default_rng(3), 100, sigma_px=0.4, depth_m=(4.0, 10.0))
+    noise = StudentT(5.0, 0.04 * np.eye(4))
+    with_prior = OdometryConfig(gyro=GyroConfig(prior=True))
+    images = estimate(tracks, noise=noise).accepted_solution
+    sigma_rad = 0.1 * np.sqrt(np.diag(images.cov)[3:].min())
+    gyro = RelativeRotation(FORWARD[:3, :3], sigma_rad**2 * np.eye(3), MOTION)
+    both_know = estimate(tracks, gyro=gyro, config=with_prior, noise=noise).accepted_solution
+    sigma = np.sqrt(np.diag(both_know.cov))
+    np.testing.assert_allclose(sigma[3:], sigma_rad, rtol=0.01)
+
+
 @pytest.mark.parametrize("num_outliers", [0, 40])
 def test_a_motion_that_few_confirm_is_claimed_with_care(num_outliers: int) -> None:
     """Twice as much noise as the model says: less than a third of the features agree as well as the

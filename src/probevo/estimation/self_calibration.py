@@ -25,7 +25,6 @@ from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rolling_shutter import Twists, change_sensitivity
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation import levenberg_marquardt
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -54,7 +53,7 @@ class CalibratedMotion:
     of_images: CommonMode
     """How errors of the calibration before the step move its motion by the images alone."""
     common_mode: CommonMode
-    """How they move the solved motion, which other measurements hold."""
+    """The same of the solved motion, to which other measurements contribute, too."""
     jitter_cov: FloatArray | None
     """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without any."""
     velocity_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
@@ -312,7 +311,7 @@ class SelfCalibratingEstimator:
             visual,
             rig=updated,
             of_images=of_images,
-            common_mode=_held_by(priors, visual.solution, of_images),
+            common_mode=_beside_measurements(priors, visual.solution, of_images),
             jitter_cov=jitter_cov,
         )
 
@@ -341,10 +340,10 @@ def _depends_on_velocity(rig: RigCalibration | None) -> bool:
     return is_noticeable(rig.delay.delay_s) or rig.image.readout_s != 0.0
 
 
-def _held_by(
+def _beside_measurements(
     priors: MotionPriors, solution: ReprojectionSolution | None, of_images: CommonMode
 ) -> CommonMode:
-    """Return how errors of the calibration move a motion that other measurements hold.
+    """Return how errors of the calibration move a motion beside other measurements of it.
 
     With H U₀ = C of the images alone and P⁻¹ = H + Σ Jᵀ R⁻¹ J of the solve, U = P C is
     (1 − P Σ Jᵀ R⁻¹ J) U₀.
@@ -356,7 +355,5 @@ def _held_by(
     """
     if solution is None or not priors.measurements:
         return of_images
-    values = {variable: np.eye(4) for one in priors.measurements for variable in one.variables}
-    values[priors.curr] = solution.T_curr_prev
-    information = levenberg_marquardt.information(priors.measurements, values, [priors.curr])
+    information = priors.information_of_measurements(solution.T_curr_prev)
     return of_images.times(np.eye(6) - solution.cov @ information)

@@ -12,6 +12,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.estimation import levenberg_marquardt
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
@@ -145,7 +146,7 @@ class _Solve:
     noise_factor: float
     """Factor of the noise model's variances in ``noise``."""
     enlargement: float = 1.0
-    """Factor by which the covariance of the motion was enlarged."""
+    """Factor by which the covariance of the motion by its tracks was enlarged."""
     need_larger_noise: bool = False
     """Whether the tracks agree only under a larger noise than was predicted."""
 
@@ -218,6 +219,14 @@ class MotionPriors:
     jitter_cov: FloatArray | None = None
     """Covariance of the rig's jitter, estimated online, [3, 3], rad²; None for that of the noise
     model."""
+
+    def information_of_measurements(self, T_curr_prev: FloatArray) -> FloatArray:
+        """Return the information of these measurements on a motion T_curr_prev, [6, 6]."""
+        if not self.measurements:
+            return np.zeros((6, 6))
+        values = {variable: np.eye(4) for one in self.measurements for variable in one.variables}
+        values[self.curr] = T_curr_prev
+        return levenberg_marquardt.information(self.measurements, values, [self.curr])
 
 
 class VisualEstimator:
@@ -413,7 +422,8 @@ class VisualEstimator:
             enlargement = _residual_scale(solution.squared, solve.noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
-            enlarged = replace(solution, cov=enlargement * solution.cov)
+            of_others = priors.information_of_measurements(solution.T_curr_prev)
+            enlarged = replace(solution, cov=_enlarged(solution.cov, enlargement, of_others))
             return replace(
                 solve,
                 estimate=replace(solve.estimate, solution=enlarged),
@@ -622,6 +632,20 @@ class VisualEstimator:
             return solution.T_curr_prev
         squared = normalized_error_squared(plain.T_curr_prev, solution.T_curr_prev, cov)
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
+
+
+def _enlarged(cov: FloatArray, factor: float, of_others: FloatArray) -> FloatArray:
+    """Return the covariance of a motion, [6, 6], if that by the images is larger by a factor.
+
+    Args:
+        cov: by the images and other measurements.
+        factor: 1 at least.
+        of_others: information of the other measurements, [6, 6]; they are as good as before.
+    """
+    if not of_others.any() or not np.isfinite(cov).all():
+        return factor * cov
+    of_images = np.linalg.inv(cov) - of_others
+    return np.asarray(np.linalg.inv(of_images / factor + of_others), np.float64)
 
 
 def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:
