@@ -8,10 +8,10 @@ of the same estimator. Prints, medians over the seeds: the error at the end, the
 root of the summed variances), both for the attitude; then the mean of the end errors, NEES over 6
 at the end, both runs' covariances added, the largest of these, and how the steps were solved.
 
-Then, simulated points, all of which are 400 to 1,500 m away for some frames, while the vehicle
-accelerates by one standard deviation of the motion model. Prints, over forty drives: how these
-steps were solved; RMS error and claim of the position and of the attitude at the end; NEES over 6
-of these steps, and of the pose at the end.
+Then, simulated points, all of which are 400 to 1,500 m away for some frames, or 5 to 50 km, while
+the vehicle accelerates by one standard deviation of the motion model. Prints, over forty drives:
+how these steps were solved; RMS error and claim of the position and of the attitude at the end;
+NEES over 6 of these steps, and of the pose at the end.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FRAMES = 16
 FIRST_FAR = 7
 """Index of the first frame without near points."""
 NEAR_M = (5.0, 60.0)
-FAR_M = (400.0, 1500.0)
+FAR_M = ((400.0, 1500.0), (5000.0, 50_000.0))
 NUM_NEAR = 100
 NUM_FAR = 25
 SIGMA_PX = 0.2
@@ -141,7 +141,9 @@ class Points:
         return np.column_stack([uv, uv[:, 0] - disparity_px, uv[:, 1]])
 
 
-def far_drive(num_far: int, rng: np.random.Generator) -> tuple[list[Frame], FloatArray]:
+def far_drive(
+    num_far: int, far_m: tuple[float, float], rng: np.random.Generator
+) -> tuple[list[Frame], FloatArray]:
     """Return a drive with so many frames that see far points only, and its motions, [K, 4, 4].
 
     From the first of these on, the vehicle accelerates. The near points behind them are new.
@@ -152,7 +154,7 @@ def far_drive(num_far: int, rng: np.random.Generator) -> tuple[list[Frame], Floa
     steps = np.clip(np.arange(FRAMES) - FIRST_FAR + 1, 0, num_far)
     motions = se3.exp(AHEAD + steps[:, None] * acceleration)
     near = Points(NUM_NEAR, NEAR_M, first_id=10**6)
-    far = Points(NUM_FAR, FAR_M, first_id=0)
+    far = Points(NUM_FAR, far_m, first_id=0)
     frames = []
     for index, motion in enumerate(motions):
         near.move(motion, rng)
@@ -171,13 +173,13 @@ def far_drive(num_far: int, rng: np.random.Generator) -> tuple[list[Frame], Floa
     return frames, motions
 
 
-def report_far(num_far: int, estimator: str) -> None:
+def report_far(num_far: int, far_m: tuple[float, float], estimator: str) -> None:
     """Print a line for drives with so many frames that see far points only."""
     statuses: Counter[str] = Counter()
     rows = []
     nees_of_steps = []
     for seed in range(DRIVES):
-        frames, motions = far_drive(num_far, np.random.default_rng(seed))
+        frames, motions = far_drive(num_far, far_m, np.random.default_rng(seed))
         odometry = pv.StereoOdometry(CAMERA, config={"estimator": estimator})
         T_world_cam = np.eye(4)
         for frame in frames:
@@ -197,7 +199,8 @@ def report_far(num_far: int, estimator: str) -> None:
     position, attitude, position_claim, attitude_claim, nees_6 = np.array(rows).T
     rms = np.sqrt(np.mean(np.square([position, attitude]), axis=1))
     print(
-        f"{num_far} far frames  {estimator:9}  {rms[0]:.2f} ({np.median(position_claim):.2f}) m"
+        f"{num_far} frames, {far_m[0]:g} m or more  {estimator:9}"
+        f"  {rms[0]:.2f} ({np.median(position_claim):.2f}) m"
         f"  {rms[1]:.3f} ({np.median(attitude_claim):.3f})°"
         f"  NEES: steps {np.mean(nees_of_steps):.2f}, end {nees_6.mean():.2f}  {dict(statuses)}",
         flush=True,
@@ -218,9 +221,10 @@ def main() -> None:
         for name in RECORDINGS:
             for estimator in arguments.estimators:
                 report_spoiled(name, preset, estimator, arguments.seeds)
-    for num_far in (1, 3, 6):
-        for estimator in arguments.estimators:
-            report_far(num_far, estimator)
+    for far_m in FAR_M:
+        for num_far in (1, 3, 6):
+            for estimator in arguments.estimators:
+                report_far(num_far, far_m, estimator)
 
 
 if __name__ == "__main__":

@@ -85,6 +85,9 @@ class ReprojectionSolution:
     hessian: FloatArray
     """Σ w Jᵀ Σ⁻¹ J plus the information of other measurements, w the IRLS weight, [6, 6]. Its
     inverse is not the covariance."""
+    full_information: FloatArray
+    """Fisher information on ξ, [6, 6], or on (ξ, η) with the jitter, [12, 12], without the bias
+    that noise of the disparities adds to it. ``cov`` is its inverse, or that of a part of it."""
     information: FloatArray
     """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
     cross_cov: FloatArray
@@ -107,6 +110,16 @@ class ReprojectionSolution:
         """Whether the motion is much more than its noise (``MIN_MOTION``)."""
         xi = se3.log(self.T_curr_prev)
         return bool(squared_mahalanobis(xi, self.cov) > MIN_MOTION)
+
+    @property
+    def motion_information(self) -> FloatArray:
+        """Fisher information on the motion, marginalised over the jitter, [6, 6]."""
+        information = self.full_information
+        if self.jitter is None:
+            return information
+        coupling = information[6:, :6]
+        of_jitter = coupling.T @ np.linalg.solve(information[6:, 6:], coupling)
+        return np.asarray(information[:6, :6] - of_jitter, np.float64)
 
     @property
     def full_jacobian(self) -> FloatArray:
@@ -202,6 +215,7 @@ def solve_reprojection(
         jacobian=features.jacobians.motion,
         disparity_jacobian=features.jacobians.disparity,
         hessian=np.ascontiguousarray(hessian[:6, :6]),
+        full_information=information,
         information=propagated.propagated_noise.information,
         cross_cov=propagated.propagated_noise.cross_cov,
         iterations=optimum.iterations,

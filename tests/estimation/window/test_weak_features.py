@@ -9,6 +9,7 @@ import pytest
 import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
@@ -174,9 +175,11 @@ def test_a_covariance_of_another_size_is_refused() -> None:
 
 def test_at_the_start_far_features_count_beside_the_prior_of_the_velocity() -> None:
     """Dead reckoning alone stays where it was, 1.2 m behind, and claims 2.1 m. The first steps of
-    20 drives that far features leave less certain than they must be to be OK."""
+    20 drives that far features leave less certain than they must be to be OK; where their
+    disparities are mostly noise, they are dead-reckoned but for the rotation."""
     error_m = []
     sigma_m = []
+    counts = []
     for seed in range(20):
         frames = drive(np.random.default_rng(seed), 2, points=25, depth_m=(400.0, 1500.0))
         odometry = pv.StereoOdometry(CAMERA)
@@ -186,8 +189,56 @@ def test_at_the_start_far_features_count_beside_the_prior_of_the_velocity() -> N
             error_m.append(motion_error(motion.T_curr_prev)[2])
             sigma_m.append(np.sqrt(motion.cov[2, 2]))
             assert odometry.window is not None
-            assert not odometry.window.is_blind[-1]
+            counts.append(not odometry.window.is_blind[-1])
     assert len(error_m) >= 10
-    assert np.sqrt(np.mean(np.square(error_m))) < 0.3
-    assert max(sigma_m) < 1.0
+    assert sum(counts) >= 5
+    assert np.sqrt(np.mean(np.square(error_m)[counts])) < 0.3
+    assert np.array(sigma_m)[counts].max() < 1.0
     assert np.mean(np.square(error_m) / np.square(sigma_m)) < 2.0
+
+
+SMALL_RIG = StereoCamera(
+    fu_px=450.0, fv_px=450.0, cu_px=376.0, cv_px=240.0, baseline_m=0.11, size_px=(752, 480)
+)
+"""A drone's: at 400 m, the disparity is 0.12 px, less than half of its noise."""
+
+
+def flight(
+    rng: np.random.Generator, depth_m: tuple[float, float], frames: int
+) -> tuple[list[Frame], FloatArray]:
+    """A flight to the right, 0.4 m a frame, above a plain that the camera looks at; and the
+    positions, [K, 3], m."""
+    z = rng.uniform(*depth_m, 3000)
+    spread = rng.uniform([-1.2, -0.5], [1.2, 0.5], (len(z), 2))
+    points_m = np.column_stack([spread * z[:, None], z])
+    positions_m = np.outer(np.arange(frames), [0.4, 0.0, 0.0])
+    views = []
+    for index, position_m in enumerate(positions_m):
+        pixels = SMALL_RIG.project(points_m - position_m)
+        inside = np.all((pixels >= 0.0) & (pixels < [752, 480, 752, 480]), axis=1)
+        ids = np.flatnonzero(inside)[:150]
+        seen = pixels[ids] + 0.2 * rng.normal(size=(len(ids), 4))
+        views.append(Frame(index, 50_000_000 * index, features=StereoFeatures(ids, seen)))
+    return views, positions_m
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "rotation_sigma_rad"), [((400.0, 500.0), 0.06), ((4000.0, 50_000.0), 0.02)]
+)
+def test_noise_of_disparities_is_no_information_about_the_translation(
+    depth_m: tuple[float, float], rotation_sigma_rad: float
+) -> None:
+    """Without that, the claim is 2 to 6 cm after a metre that is not noticed. The rotation is known
+    but for the metres of translation that look like one. Four flights."""
+    squared = []
+    for seed in range(4):
+        frames, positions_m = flight(np.random.default_rng(seed), depth_m, 10)
+        odometry = pv.StereoOdometry(SMALL_RIG)
+        for frame, position_m in zip(frames, positions_m, strict=True):
+            motion = odometry.step(frame)
+            if frame.index in (1, 4, 9):
+                error_m = motion.T_world_cam[0, 3] - position_m[0]
+                squared.append(error_m**2 / motion.cov_cam_world[0, 0])
+        assert np.sqrt(np.diagonal(motion.cov)[3:]).max() < rotation_sigma_rad
+    assert max(squared) < 9.0
+    assert np.mean(squared) < 2.0

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.image_errors import DISPARITY_SIGMA_PX
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
@@ -153,6 +153,18 @@ class WindowAdjustment:
         cov, cov_of_motions = self._covariances(system.equations.hessian)
         inertial = candidate.inertial.with_covariance(system.inertial, cov)
         return replace(candidate, cov=cov, cov_of_motions=cov_of_motions, inertial=inertial)
+
+    def disparities(self, window: Window, ids: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the disparities of landmarks in their anchor frames, [N], px, and their variances
+        for given poses, [N], px².
+
+        Args:
+            window: K frames.
+            ids: identities of N landmarks that the newest of them sees.
+        """
+        rows = window.rows_seen_last(ids, len(window) - 1)
+        variances = self._system(window).elimination.inverse[:, 2, 2]
+        return window.landmarks.state[rows, 2], variances[rows]
 
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.

@@ -16,8 +16,14 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.estimation.far_features import (
+    MIN_SIGNAL,
+    rotation_of_far_features,
+    translation_signal,
+)
 from probevo.estimation.motion_correction import CovarianceIntersection
 from probevo.estimation.motion_estimate import MAX_UNKNOWN, Status
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
@@ -33,6 +39,8 @@ from probevo.measurements.base import Measurement
 from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.variables import pose_of
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
@@ -95,6 +103,8 @@ class WindowEstimator:
         """
         calibrated = step.calibrated
         visual = calibrated.visual
+        if calibrated.jitter_cov is not None:
+            window = replace(window, jitter_cov=calibrated.jitter_cov)
         features = self._features_of(step)
         if visual.status is not Status.OK or features is None:
             return self._without_solve(
@@ -108,8 +118,6 @@ class WindowEstimator:
         tracks, noise = features
         if intersection is not None:
             noise = noise.scaled(intersection.of_features(visual.weights[visual.used]))
-        if calibrated.jitter_cov is not None:
-            window = replace(window, jitter_cov=calibrated.jitter_cov)
         after = self.with_features(
             inertial_steps.with_inflated_factor_if_refuted(window, motion),
             tracks,
@@ -119,7 +127,10 @@ class WindowEstimator:
             motion_factor=None if intersection is None else intersection.motion,
             reacquired=reacquired,
         )
-        if calibrated.corrected_tracks.rig is None or calibrated.rig is None:
+        # If the adjustment has failed, the motion of two frames counts, whose covariance has the
+        # errors of the calibration in it.
+        has_failed = bool(after.is_blind[-1])
+        if has_failed or calibrated.corrected_tracks.rig is None or calibrated.rig is None:
             return after
         # The motion was solved from tracks that were corrected by the estimate before the step.
         effect = after.calibration_effect.with_step(
@@ -145,14 +156,17 @@ class WindowEstimator:
         # Features may show a part of the motion, and the velocity before the rest; at the start,
         # the prior of the motion model stands in for that.
         known = velocity or motion
-        if (
-            intersection is None
-            and step.calibrated.visual.is_partly_determined
-            and known.prev_frame == step.prev
-        ):
-            weak = self._with_weak_features(window, step, known=known, measurements=measurements)
-            if weak is not None:
+        two_frames = step.calibrated.visual.two_frames_only
+        is_partly_determined = step.calibrated.visual.is_partly_determined
+        may_count = intersection is None and is_partly_determined
+        if may_count and two_frames is not None and known.prev_frame == step.prev:
+            weak = self._with_weak_features(
+                window, step, two_frames, known=known, measurements=measurements
+            )
+            if isinstance(weak, Window):
                 return weak
+            if weak is not None:
+                measurements = [*measurements, weak]
         if velocity is None or intersection is not None:
             return self.without_features(window, frame, motion, measurements)
         _, last_cov = window.relative(
@@ -250,10 +264,11 @@ class WindowEstimator:
         self,
         window: Window,
         step: SolvedTracks,
+        two_frames: ReprojectionSolution,
         *,
         known: ConstantVelocity | RelativePose,
         measurements: Sequence[Measurement],
-    ) -> Window | None:
+    ) -> Window | RelativePose | None:
         """Return the window with one more frame, whose features leave a direction of its motion
         open, as far ones do; there, the velocity of the step before counts, or a motion by dead
         reckoning.
@@ -261,16 +276,18 @@ class WindowEstimator:
         Args:
             window: K frames.
             step: the tracks from the frame before the new one.
+            two_frames: the motion that they show by themselves.
             known: constant velocity over the last two steps, or a motion between the same frames as
                 the tracks.
             measurements: further measurements of the poses of the window.
 
         Returns:
-            None where all that does not fix the motion either.
+            Their rotation by two frames instead of the window, where they are so far away that the
+            window would take noise of their disparities for a motion; None where all that does not
+            fix the motion either.
         """
         features = self._features_of(step)
-        two_frames = step.calibrated.visual.two_frames_only
-        if features is None or two_frames is None:
+        if features is None:
             return None
         tracks, noise = features
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
@@ -291,7 +308,24 @@ class WindowEstimator:
         except np.linalg.LinAlgError:
             return None
         _, cov = adjusted.relative(len(adjusted) - 1, prev)
-        return self._shortened(adjusted) if np.isfinite(cov).all() else None
+        if not np.isfinite(cov).all():
+            return None
+        disparity, variance = self.adjustment.disparities(adjusted, tracks.ids)
+        known_cov = known.covariance[:3, :3]
+        try:
+            if translation_signal(two_frames, disparity, variance, known=known_cov) >= MIN_SIGNAL:
+                return self._shortened(adjusted)
+            return rotation_of_far_features(
+                StereoObservations.of(
+                    tracks.prev_px, tracks.curr_px, noise, camera=self._camera, loss=self._loss
+                ),
+                known,
+                two_frames.T_curr_prev[:3, :3],
+                expected=expected,
+                prev=pose_of(step.prev),
+            )
+        except np.linalg.LinAlgError:
+            return None
 
     def without_features(
         self,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray, rows_of
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rig_calibration import disparity_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.window.equations import (
@@ -93,11 +93,13 @@ def with_tracks(
         return window
     newest = len(window) - 1
     # The landmark of each track; new ones are numbered behind those of the window.
-    rows = _rows_of(window, tracks.ids, prev)
+    rows = window.rows_seen_last(tracks.ids, prev)
     is_in_prev = rows >= 0
     if reacquired is not None:
         of_reacquired = np.where(
-            np.isin(tracks.ids, reacquired.ids), _rows_of(window, tracks.ids, reacquired.slot), -1
+            np.isin(tracks.ids, reacquired.ids),
+            window.rows_seen_last(tracks.ids, reacquired.slot),
+            -1,
         )
         rows = np.where(is_in_prev, rows, of_reacquired)
     is_new = rows < 0
@@ -171,13 +173,3 @@ def first_states(pixels: FloatArray, rig: FloatArray, camera: StereoCamera) -> F
     states[:, 2] = states[:, 0] - (pixels[:, 2] + camera.fu_px * x_r * inwards_r)
     states[:, 2] += disparity_basis(pixels, camera) @ rig[:LENS]
     return states
-
-
-def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
-    """Return the landmark of each identity, [N], among those that a frame was the last to see; −1
-    for none."""
-    alive = np.flatnonzero(window.last_seen == slot)
-    rows = rows_of(ids, window.ids[alive])
-    is_known = rows >= 0
-    rows[is_known] = alive[rows[is_known]]
-    return rows

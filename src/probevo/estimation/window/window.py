@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray, rows_of
 from probevo.errors import InputError
 from probevo.estimation.window.calibration_effect import CalibrationEffect
 from probevo.estimation.window.equations import (
@@ -177,6 +177,15 @@ class Window:
     def last_seen(self) -> IntArray:
         """Place in the window of the last frame that saw each landmark, [L]."""
         return self.observations.slot[self.observations.start[1:] - 1]
+
+    def rows_seen_last(self, ids: IntArray, slot: int) -> IntArray:
+        """Return the landmark of each identity, [N], among those that a frame was the last to see;
+        −1 for none."""
+        alive = np.flatnonzero(self.last_seen == slot)
+        rows = rows_of(ids, self.ids[alive])
+        is_known = rows >= 0
+        rows[is_known] = alive[rows[is_known]]
+        return rows
 
     def num_common_landmarks(self, frame: int, other: int) -> int:
         """Return how many landmarks two frames see, by their indices; 0 if one is not in the
