@@ -226,7 +226,8 @@ class RunConfig(CommonRunSettings):
     write: Path | None = Field(
         None,
         description=(
-            "Also write the odometry as a bag: a file .mcap or .db3 of ROS 2, or .bag of ROS 1."
+            "Also write the odometry as a bag: a file .mcap or .db3 of ROS 2, or .bag of ROS 1. Of"
+            " files that exist, only the odometry of an earlier run is replaced."
         ),
     )
     ros: RosSettings = Field(RosSettings(), description="Frames of that bag.")

@@ -23,7 +23,6 @@ from probevo.noise import NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.output.motions_file import read_motions
-from probevo.output.ros import odometry_bag
 from probevo.run_config import RunConfig, read_config
 from probevo.runs.runner import run_sequence
 from probevo.sequences import open_sequence
@@ -277,10 +276,32 @@ def test_stale_results_go_although_the_bag_fails(
     def failing(*_: Any, **__: Any) -> None:
         raise InputError("o.mcap", "cannot be written.")
 
-    monkeypatch.setattr(odometry_bag, "write_odometry_bag", failing)
+    monkeypatch.setattr("probevo.runs.runner.write_odometry_bag", failing)
     words = ["--estimator", "two-frame", "--write", str(tmp_path / "o.mcap")]
     assert main(["run", str(wall), "--out", str(out), *words]) == 2
     assert not list(out.glob("trajectory.smoothed.*"))
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+def test_a_recording_is_not_replaced_by_its_odometry(
+    suffix: str, wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rosbags")
+    recording = tmp_path / f"drive{suffix}"
+    assert main(["convert", str(wall), "--out", str(recording)]) == 0
+    before = recording.read_bytes()
+    link = tmp_path / f"link{suffix}"
+    link.symlink_to(recording)
+    for source in (recording, wall):
+        for target in (recording, link):
+            words = ["--out", str(tmp_path / "out"), "--write", str(target)]
+            capsys.readouterr()
+            assert main(["run", str(source), *words]) == 2
+            message = capsys.readouterr().err
+            assert f"--write: {target} exists, and is not the odometry of a run" in message
+            assert "Name another file" in message
+    assert recording.read_bytes() == before
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("truth", [True, False])

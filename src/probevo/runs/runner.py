@@ -31,7 +31,7 @@ from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
-from probevo.output.ros.bag_writer import check_bag_path
+from probevo.output.ros.odometry_bag import check_odometry_path, write_odometry_bag
 from probevo.output.rows import Rows
 from probevo.output.run_facts import run_facts
 from probevo.output.run_files import (
@@ -145,7 +145,7 @@ def run_sequence(
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
     if config.write is not None:
-        check_bag_path(config.write, "--write")
+        check_odometry_path(config.write, "--write")
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
     used = (*load_sensors(config.sensor, sequence), *as_sensors(sensors))
@@ -343,7 +343,6 @@ def _write_results(
     """Write all files of a run, and remove those of an earlier run that this one does not write."""
     # Only now: importing Matplotlib would delay the first frame.
     from probevo.output.report.report import RunDescription, write_report
-    from probevo.output.ros.odometry_bag import write_odometry_bag
 
     settings = _portable_settings(sequence, config)
     truth = None

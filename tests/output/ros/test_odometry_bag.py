@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.output.ros.bag_writer import written_bag
 from probevo.output.ros.odometry_bag import write_odometry_bag
 from probevo.output.ros.ros_odometry import ros_odometry
 from probevo.output.run_result import RunResult
@@ -263,3 +264,32 @@ def test_a_stamp_before_1970_is_refused(tmp_path: Path, make_run: Callable[..., 
 def test_another_ending_is_refused(tmp_path: Path, make_run: Callable[..., RunResult]) -> None:
     with pytest.raises(InputError, match=r"ends in none of \.bag, \.mcap, \.db3"):
         write_odometry_bag(tmp_path / "odometry.txt", make_run(3), ROS)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+def test_only_the_odometry_of_an_earlier_run_is_replaced(
+    suffix: str, tmp_path: Path, make_run: Callable[..., RunResult]
+) -> None:
+    run = make_run(3)
+    path = tmp_path / f"odometry{suffix}"
+    write_odometry_bag(path, make_run(20), ROS)
+    write_odometry_bag(path, replace(run, smoothed=run.T_world_cam), ROS, camera=CAMERA)
+    assert len(read(path)["/odometry"]) == 3
+    write_odometry_bag(path, run, ROS)
+    for content in (b"", path.read_bytes()[:100], b"no bag at all"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="exists, and is no bag that can be read"):
+            write_odometry_bag(path, run, ROS)
+        assert path.read_bytes() == content
+
+
+def test_a_bag_with_other_topics_is_not_replaced(
+    tmp_path: Path, make_run: Callable[..., RunResult]
+) -> None:
+    path = tmp_path / "imu.mcap"
+    with written_bag(path) as bag:
+        bag.write("/imu/data", "sensor_msgs/msg/Imu", 1, {}, frame="imu_link")
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="not the odometry of a run: it has the topic /imu/data"):
+        write_odometry_bag(path, make_run(3), ROS)
+    assert path.read_bytes() == before

@@ -9,8 +9,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
-from probevo.output.ros.bag_writer import BagWriter, written_bag
+from probevo.output.ros.bag_writer import BagWriter, check_bag_path, written_bag
 from probevo.output.ros.ros_fields import (
     camera_info_fields,
     pose_fields,
@@ -25,13 +26,45 @@ from probevo.output.ros.ros_odometry import (
 )
 from probevo.output.run_result import RunResult
 from probevo.run_config import RosSettings
+from probevo.sequences.formats.rosbag_file import opened_bag
 
 ODOMETRY = "/odometry"
 SMOOTHED = "/smoothed/pose"
 DIAGNOSTICS = "/diagnostics"
 CAMERA_INFO = ("/left/camera_info", "/right/camera_info")
+TRANSFORMS = "/tf"
+STATIC_TRANSFORMS = "/tf_static"
+TOPICS = frozenset({ODOMETRY, SMOOTHED, DIAGNOSTICS, *CAMERA_INFO, TRANSFORMS, STATIC_TRANSFORMS})
+"""All topics that the odometry of a run has."""
 OK_LEVEL = 0
 WARN_LEVEL = 1
+
+
+def check_odometry_path(path: Path, option: str) -> None:
+    """Refuse a path where no odometry can be written, before anything is computed.
+
+    An existing file is replaced only if it is the odometry of an earlier run: any other bag may be
+    a recording, even the one that is run.
+
+    Args:
+        path: the file that is to be written.
+        option: the flag that names it, for messages.
+
+    Raises:
+        InputError: as ``check_bag_path``, or the file exists and is anything but an odometry.
+    """
+    check_bag_path(path, option)
+    if not path.exists():
+        return
+    cure = "Name another file, or remove that one."
+    try:
+        with opened_bag(path) as bag:
+            others = sorted(bag.topics.keys() - TOPICS)
+    except InputError as error:
+        raise InputError(option, f"{path} exists, and is no bag that can be read.", cure) from error
+    if others:
+        what = f"{path} exists, and is not the odometry of a run: it has the topic {others[0]}."
+        raise InputError(option, what, cure)
 
 
 def write_odometry_bag(
@@ -53,9 +86,10 @@ def write_odometry_bag(
         camera: the rectified camera; None to leave out its CameraInfo.
 
     Raises:
-        InputError: rosbags is missing, the ending is of no bag, the file cannot be written, or
-            a stamp does not fit into a message of ROS.
+        InputError: as ``check_odometry_path``, the file cannot be written, or a stamp does not fit
+            into a message of ROS.
     """
+    check_odometry_path(path, str(path))
     T_base_cam = np.reshape(ros.T_base_cam, (4, 4))
     odometry = ros_odometry(result, T_base_cam)
     start_ns = int(result.stamps_ns[0])
@@ -63,7 +97,7 @@ def write_odometry_bag(
         mounting = transform_fields(
             T_base_cam, start_ns, parent=ros.base_frame, child=ros.camera_frame
         )
-        bag.write_transforms("/tf_static", start_ns, [mounting])
+        bag.write_transforms(STATIC_TRANSFORMS, start_ns, [mounting])
         if camera is not None:
             for topic, is_right in zip(CAMERA_INFO, (False, True), strict=True):
                 info = camera_info_fields(camera, is_right=is_right)
@@ -124,7 +158,7 @@ def _write_frame(
     transform = transform_fields(
         odometry.T_odom_base[index], stamp_ns, parent=ros.odom_frame, child=ros.base_frame
     )
-    bag.write_transforms("/tf", stamp_ns, [transform])
+    bag.write_transforms(TRANSFORMS, stamp_ns, [transform])
     diagnostics = {"status": [_status_fields(index, result)]}
     bag.write(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", stamp_ns, diagnostics, frame="")
 
