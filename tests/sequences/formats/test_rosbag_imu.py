@@ -62,6 +62,8 @@ def write_imu_bag(
     topics: dict[str, list[tuple[int, dict[str, Any]]]],
     *,
     faulty_child: str | None = None,
+    image_frame: str = OPTICAL,
+    imu_frame: str = "imu_link",
 ) -> Path:
     """A bag of images and IMUs, which are mounted in the camera's frame."""
     with written_bag(path) as bag:
@@ -71,10 +73,10 @@ def write_imu_bag(
         if faulty_child is not None:
             add_faulty_transform(bag, faulty_child)
         for index in range(FRAMES):
-            add_images(bag, index)
+            add_images(bag, index, frame=image_frame)
         for topic, rows in topics.items():
             for stamp_ns, fields in rows:
-                bag.write(topic, "sensor_msgs/msg/Imu", stamp_ns, fields, frame="imu_link")
+                bag.write(topic, "sensor_msgs/msg/Imu", stamp_ns, fields, frame=imu_frame)
     return path
 
 
@@ -178,6 +180,25 @@ def test_an_imu_whose_transform_is_faulty_is_not_used(tmp_path: Path) -> None:
     assert bag.imu is None
     assert "of imu_link is not used" in dict(bag.notes)["! tf_static"]
     assert "does not have its pose" in dict(bag.notes)["! IMU"]
+
+
+@pytest.mark.parametrize("frame", ["", "base_link", "/base_link"])
+def test_headers_of_one_frame_do_not_say_where_the_imu_is(frame: str, tmp_path: Path) -> None:
+    """Its axes were once taken for those of the image, silently."""
+    path = write_imu_bag(
+        tmp_path / "drive.mcap",
+        {TOPIC: samples()},
+        image_frame=frame,
+        imu_frame=frame.removeprefix("/"),
+    )
+    bag = opened(path)
+    assert bag.imu is None
+    assert [each.imu for each in bag] == [None] * FRAMES
+    assert "does not have its pose" in dict(bag.notes)["! IMU"]
+    truth = tmp_path / "truth.tum"
+    truth.write_text("".join(f"{stamp * 1e-9:.3f} 0 0 0 0 0 0 1\n" for stamp in STAMPS_NS))
+    with pytest.raises(InputError, match="those of the IMU, whose place in the camera's frame"):
+        open_sequence(path, truth=truth, truth_of="imu")
 
 
 # --- without an accelerometer --------------------------------------------------------------------

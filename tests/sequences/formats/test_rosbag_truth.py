@@ -51,16 +51,16 @@ def add_truth(
         bag.write_transforms(topic, stamp_ns, [other, moved])
 
 
-def add_images(bag: BagWriter, index: int) -> None:
-    """Both images of a frame, and their CameraInfo."""
+def add_images(bag: BagWriter, index: int, frame: str = OPTICAL) -> None:
+    """Both images of a frame, and their CameraInfo, whose headers name a frame of ROS."""
     stamp_ns = int(STAMPS_NS[index])
     for side in ("left", "right"):
         info = camera_info_fields(CAMERA, is_right=side == "right")
         info_type = "sensor_msgs/msg/CameraInfo"
-        bag.write(f"/{side}/camera_info", info_type, stamp_ns, info, frame=OPTICAL)
+        bag.write(f"/{side}/camera_info", info_type, stamp_ns, info, frame=frame)
         pixels = image_fields(image(index, side == "right"))
         topic = f"/{side}/image_rect"
-        bag.write(topic, "sensor_msgs/msg/Image", stamp_ns, pixels, frame=OPTICAL)
+        bag.write(topic, "sensor_msgs/msg/Image", stamp_ns, pixels, frame=frame)
 
 
 def add_faulty_transform(bag: BagWriter, child: str) -> None:

@@ -480,11 +480,15 @@ def _imu_of_transforms(
 ) -> ImuCalibration | None:
     """Return the IMU's calibration by ``tf_static``; None if its pose is not there.
 
-    Its noise is that of a consumer IMU, because bags do not contain it.
+    A frame of images, z forward, is not that of an IMU: headers that name one frame for both, or
+    none, say nothing of its pose. Its noise is that of a consumer IMU, because bags do not contain
+    it.
     """
     if not content.imu_ns:
         return None
     image = content.decoder.decoded(content.first_images[topics.left][0])
+    if frame_name(image.header.frame_id) == frame_name(content.imu_frame):
+        return None
     T_root_cam, camera_root = _from_root(content, image.header.frame_id)
     T_root_imu, imu_root = _from_root(content, content.imu_frame)
     if camera_root != imu_root:
