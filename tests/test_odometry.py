@@ -482,6 +482,19 @@ def test_a_video_whose_frames_were_doubled_has_the_same_path(
     assert motions[-1].missing == (MissingData(Defect.REPEATED_IMAGES, 1, 1),)
 
 
+def test_black_images_are_not_counted_as_repeated(tmp_path: Path) -> None:
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 8))
+    odometry = pv.StereoOdometry(sequence.camera)
+    for frame in sequence:
+        assert frame.left is not None
+        if frame.index >= 5:
+            black = np.zeros_like(frame.left)
+            frame = replace(frame, left=black, right=black.copy())
+        motion = odometry.step(frame)
+        assert motion.missing == ()
+    assert motion.status is pv.Status.TOO_FEW_TRACKS
+
+
 def test_in_a_blackout_the_attitude_by_the_gyro_is_consistent() -> None:
     """From the third frame on, when its bias is hardly known, for 15 frames: the mean of the
     squared errors over 20 drives lies in the 99.9 % interval of χ²(3)."""

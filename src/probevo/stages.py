@@ -18,6 +18,7 @@ from probevo.state import StepFeatures
 from probevo.tracking import Tracked, Tracks
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.observations import FrameObservations
+from probevo.tracking.repeated_images import shows_nothing
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class Observed:
     @property
     def missing(self) -> tuple[MissingData, ...]:
         """What tracking has found that the frame lacks."""
-        if self.is_frozen or self.may_be_frozen:
+        repeats = self.is_frozen or self.may_be_frozen
+        if repeats and not shows_nothing(self.prediction.frame):
             return (MissingData(Defect.REPEATED_IMAGES, 1, 1),)
         return ()
 

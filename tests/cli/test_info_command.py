@@ -203,6 +203,19 @@ def test_images_that_repeat_are_marked(tmp_path: Path, capsys: pytest.CaptureFix
     assert info(recording, capsys)["! repetition"].startswith("The images of 9 of 18 frames")
 
 
+@pytest.mark.parametrize("level", [0, 255])
+def test_images_that_show_nothing_do_not_count_as_repeated(
+    level: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were once called those of a driver that hangs."""
+    recording = write_strips(tmp_path / "strips", 18)
+    for side in ("left", "right"):
+        for index in range(4, 12):
+            file = recording / side / f"{index:06d}.png"
+            cv2.imwrite(str(file), np.full_like(cv2.imread(str(file), 0), level))
+    assert "! repetition" not in info(recording, capsys)
+
+
 @pytest.mark.parametrize("gain", [1.0, 0.5, 0.1])
 def test_cameras_that_are_not_exposed_alike_are_marked(
     gain: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -16,7 +16,7 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.run_config import read_config
 from probevo.sequences import open_sequence
-from probevo.sequences.gray_range import GrayRange
+from probevo.sequences.gray_range import GrayRange, spread_indices
 from probevo.sequences.images import read_gray
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import stamps_of_names
@@ -276,12 +276,43 @@ def test_a_picture_that_was_cut_off_is_refused(suffix: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pgm", ".tif"])
-def test_sixteen_bits_are_scaled_by_the_first_frames(suffix: str, tmp_path: Path) -> None:
+def test_sixteen_bits_are_scaled_by_one_range(suffix: str, tmp_path: Path) -> None:
     path = write_folder_sequence(tmp_path, imu=False)
     convert(path, suffix, lambda pixels: 2000 + 8 * pixels.astype(np.uint16))
     for frame in open_sequence(path):
         np.testing.assert_allclose(frame.left, image(frame.index), atol=3)
         np.testing.assert_allclose(frame.right, image(frame.index, right=True), atol=3)
+
+
+def test_a_dark_start_does_not_set_the_range_of_the_others(tmp_path: Path) -> None:
+    """The first five of twelve frames once did, and all others were white."""
+    path = write_folder_sequence(tmp_path, 12, imu=False)
+    for side in ("left", "right"):
+        for index, file in enumerate(sorted((path / side).iterdir())):
+            pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED).astype(np.uint16)
+            write_image(file, 300 + pixels // 60 if index < 5 else 300 + 200 * pixels)
+    for frame in list(open_sequence(path))[5:]:
+        np.testing.assert_allclose(frame.left, image(frame.index), atol=5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 10, 5500])
+def test_the_range_is_that_of_frames_all_over_the_recording(count: int) -> None:
+    indices = spread_indices(count)
+    assert len(indices) == min(count, 9)
+    assert (indices[0], indices[-1]) == (0, count - 1)
+    gaps = np.diff(indices)
+    assert len(gaps) == 0 or gaps.max() - gaps.min() <= 1
+
+
+def test_a_damaged_picture_does_not_set_the_range(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path, imu=False)
+    convert(path, ".png", lambda pixels: 2000 + 8 * pixels.astype(np.uint16))
+    last = max((path / "left").iterdir())
+    last.write_bytes(last.read_bytes()[:100])
+    frames = iter(open_sequence(path))
+    np.testing.assert_allclose(next(frames).left, image(0), atol=3)
+    with pytest.raises(InputError, match="damaged"):
+        list(frames)
 
 
 def test_the_range_is_that_of_percentiles() -> None:

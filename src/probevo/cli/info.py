@@ -297,7 +297,7 @@ def _order_warnings(sequence: Sequence) -> Rows:
     """Warn of images that repeat, and of right ones that belong to other frames than the left."""
     from probevo.output.run_warnings import repetition_warning, timing_warning
     from probevo.tracking.pair_timing import PairTiming
-    from probevo.tracking.repeated_images import are_repeated
+    from probevo.tracking.repeated_images import are_repeated, shows_nothing
 
     timing = PairTiming(RunConfig().tracking)
     num_frames = 0
@@ -307,7 +307,8 @@ def _order_warnings(sequence: Sequence) -> Rows:
         if not timing.is_decided:
             timing.add(frame)
         num_frames += 1
-        num_repeated += prev is not None and are_repeated(prev, frame)
+        repeats = prev is not None and are_repeated(prev, frame)
+        num_repeated += repeats and not shows_nothing(frame)
         prev = frame
     warnings = {
         "! timing": timing_warning(timing.right_late_frames),

@@ -1,13 +1,13 @@
 """The range of gray values of a 16-bit recording, and its reduction to 8 bits.
 
-Everything downstream works on 8 bits. The range is taken from the first frames and then fixed: a
-range of each frame would change the brightness of a point from frame to frame, which the tracker
-assumes to be constant.
+Everything downstream works on 8 bits. The range is taken from frames all over the recording, the
+first of which may be dark, and then fixed: a range of each frame would change the brightness of a
+point from frame to frame, which the tracker assumes to be constant.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,11 +15,18 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image
 
-NUM_FIRST_FRAMES = 5
+NUM_FRAMES = 9
 """Frames whose gray values set the range."""
 LOW_PERCENT = 0.5
 HIGH_PERCENT = 99.5
 """Percentiles of the gray values that become 0 and 255: hot pixels and the sun are left out."""
+
+
+def spread_indices(count: int) -> list[int]:
+    """Return the indices of up to ``NUM_FRAMES`` of ``count`` images: the first, the last, and
+    those evenly between them."""
+    spread = np.linspace(0, count - 1, NUM_FRAMES).round().astype(int)
+    return [int(index) for index in np.unique(spread)]
 
 
 @dataclass(frozen=True)
@@ -46,3 +53,13 @@ class GrayRange:
         above_low = cv2.subtract(image, np.full_like(image, self.low))  # clips at zero
         scaled = cv2.convertScaleAbs(above_low, alpha=255.0 / (self.high - self.low))
         return np.asarray(scaled, dtype=np.uint8)
+
+
+def common_range(images: Iterable[AnyArray]) -> GrayRange | None:
+    """Return the range of some images of a recording; None if one of them has 8 bits."""
+    deep = []
+    for image in images:
+        if image.dtype != np.uint16:
+            return None
+        deep.append(image)
+    return GrayRange.of(deep) if deep else None

@@ -6,6 +6,7 @@ PNG files have checksums; of other files, only length or end can be checked.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
-from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
+from probevo.sequences.gray_range import GrayRange, common_range, spread_indices
 from probevo.sequences.image_files import JPEG_START, check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 from probevo.storage.files import check_regular
@@ -124,19 +125,23 @@ def read_gray_of_any_depth(path: Path) -> AnyArray:
 
 
 def range_of_files(left_files: list[Path], right_files: list[Path]) -> GrayRange | None:
-    """Return the range of the first images of a recording; None if they have 8 bits.
+    """Return the range of images spread over a recording; None if they have 8 bits.
 
     An image that is missing or damaged is left to the reading of its frame.
     """
-    images = []
-    for file in [*left_files[:NUM_FIRST_FRAMES], *right_files[:NUM_FIRST_FRAMES]]:
-        try:
-            images.append(read_gray_of_any_depth(file))
-        except InputError:
-            continue
-    if not images or any(image.dtype != np.uint16 for image in images):
-        return None
-    return GrayRange.of(images)
+    files = [
+        one_side[index]
+        for one_side in (left_files, right_files)
+        for index in spread_indices(len(one_side))
+    ]
+    return common_range(_readable(files))
+
+
+def _readable(files: list[Path]) -> Iterator[AnyArray]:
+    """Yield those of some images that are neither missing nor damaged, as grayscale."""
+    for file in files:
+        with suppress(InputError):
+            yield read_gray_of_any_depth(file)
 
 
 def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None = None) -> AnyArray:

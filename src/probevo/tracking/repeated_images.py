@@ -14,6 +14,8 @@ BLOCK_PX = 8
 STANDING_DIFFERENCE = 0.03
 """Standard deviation of the difference of two block images, relative to their contrast, below which
 they show the same."""
+MIN_TEXTURE = 0.001
+"""Share of pixels that differ from their neighbour below which an image shows nothing."""
 
 
 def are_repeated(prev: Frame, curr: Frame) -> bool:
@@ -39,6 +41,17 @@ def look_repeated(prev: Frame, curr: Frame) -> bool:
     before = _block_means(prev.left)
     now = _block_means(curr.left)
     return float((now - before).std()) < STANDING_DIFFERENCE * float(now.std())
+
+
+def shows_nothing(frame: Frame) -> bool:
+    """Return whether an image of a frame has one grey level nearly everywhere.
+
+    Black or overexposed images are equal, although the camera takes one after the other.
+    """
+    return any(
+        image is not None and float(np.mean(image[:, 1:] != image[:, :-1])) < MIN_TEXTURE
+        for image in (frame.left, frame.right)
+    )
 
 
 def _block_means(image: Image) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ pytest.importorskip("rosbags")
 from rosbags.highlevel import AnyReader
 
 from cli.rendering import write_wall
+from probevo.arrays import AnyArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
 from probevo.errors import InputError
@@ -24,6 +26,7 @@ from probevo.sequences.formats.ros_images import gray_of
 from probevo.sequences.formats.rosbag import BagRecording
 from probevo.sequences.formats.rosbag_file import IMAGE_TYPES, IMU_TYPE, Topic
 from probevo.sequences.formats.rosbag_topics import MAX_LISTED, topic_list
+from probevo.sequences.gray_range import spread_indices
 from probevo.sequences.stamp_pairs import pair_stamps
 from sequences.bags import (
     KINDS,
@@ -228,23 +231,46 @@ def test_faulty_images_are_refused(change: dict[str, Any], words: str) -> None:
         gray_of(as_message(raw_image(PIXELS) | change), "here")
 
 
-def test_sixteen_bits_keep_one_range_for_the_whole_recording(tmp_path: Path) -> None:
-    stamps = [k * FRAME_NS for k in range(8)]
-    messages = stereo_messages(stamps, stamps)
-    bright = []
-    for message in messages:
+def write_deep_bag(path: Path, deep: Callable[[int, Image], AnyArray]) -> Path:
+    """A bag of 16-bit images, made of 8-bit ones and their index."""
+    stamps = [k * FRAME_NS for k in range(12)]
+    messages = []
+    for message in stereo_messages(stamps, stamps):
         if "encoding" in message.fields:
             index = (message.stamp_ns - START_NS) // FRAME_NS
-            pixels = 1000 + 4 * image(index).astype(np.uint16) + (300 if index == 7 else 0)
-            message = replace(message, fields=raw_image(pixels, "mono16"))
-        bright.append(message)
-    frames = list(open_sequence(write_messages(tmp_path / "deep", "mcap", bright)))
+            pixels = image(index, right=message.topic == RIGHT)
+            fields = raw_image(deep(index, pixels), "mono16")
+            messages.append(replace(message, fields=fields))
+        else:
+            messages.append(message)
+    return write_messages(path, "mcap", messages)
+
+
+def test_sixteen_bits_keep_one_range_for_the_whole_recording(tmp_path: Path) -> None:
+    """A frame between those that set the range is brighter, and stays so."""
+    path = write_deep_bag(
+        tmp_path / "deep",
+        lambda index, pixels: pixels.astype(np.uint16) * 4 + (1300 if index == 2 else 1000),
+    )
+    assert 2 not in spread_indices(12)
+    frames = list(open_sequence(path))
     assert frames[0].left is not None
-    assert frames[7].left is not None
+    assert frames[2].left is not None
     np.testing.assert_allclose(frames[0].left, image(0), atol=3)
-    # The last frame is brighter, and stays so: its range is that of the first ones.
-    expected = np.minimum(image(7).astype(int) + 75, 255)
-    np.testing.assert_allclose(frames[7].left, expected, atol=4)
+    expected = np.minimum(image(2).astype(int) + 75, 255)
+    np.testing.assert_allclose(frames[2].left, expected, atol=4)
+
+
+def test_a_dark_start_of_a_bag_does_not_set_the_range_of_the_others(tmp_path: Path) -> None:
+    path = write_deep_bag(
+        tmp_path / "dark",
+        lambda index, pixels: (
+            300 + (pixels.astype(np.uint16) // 60 if index < 5 else 200 * pixels.astype(np.uint16))
+        ),
+    )
+    for frame in list(open_sequence(path))[5:]:
+        assert frame.left is not None
+        np.testing.assert_allclose(frame.left, image(frame.index), atol=5)
 
 
 # --- cameras -------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -42,7 +43,7 @@ from probevo.sequences.given_truth import (
     truth_at,
     truth_of_file,
 )
-from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
+from probevo.sequences.gray_range import common_range, spread_indices
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.read_ahead import read_ahead
@@ -160,15 +161,15 @@ class BagRecording(ImageRecording):
 
 @dataclass
 class _Content:
-    """The result of the first pass through a bag: everything except images, of which it has the
-    first."""
+    """The result of the first pass through a bag: everything except images, of which it has a
+    few."""
 
     decoder: Decoder
     left_ns: list[int] = field(default_factory=list)
     """Header stamp of each left image, in the order of the bag."""
     right_ns: list[int] = field(default_factory=list)
-    first_images: dict[str, list[RawMessage]] = field(default_factory=dict)
-    """The first images of both topics."""
+    images: dict[str, list[RawMessage]] = field(default_factory=dict)
+    """The first image of both topics, and others spread over the recording."""
     infos: dict[str, CameraInfo] = field(default_factory=dict)
     """The first CameraInfo of each topic."""
     imu_ns: list[int] = field(default_factory=list)
@@ -228,11 +229,14 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
         if needs_imu and topics.candidate_imus:
             what = f"several topics are IMUs: {', '.join(topics.candidate_imus)}."
             raise InputError(path, what, "Name one with --topics.imu.")
-        content = _Content(bag.decoder, first_images={topics.left: [], topics.right: []})
+        content = _Content(bag.decoder, images={topics.left: [], topics.right: []})
         if topics.truth is not None and options.truth is None:
             content.truth = _empty_truth(path, topics.truth, bag.topics[topics.truth].type, options)
+        kept = {
+            topic: frozenset(spread_indices(bag.topics[topic].count)) for topic in content.images
+        }
         for message in bag.messages(topics.all):
-            _gather(content, message, topics)
+            _gather(content, message, topics, kept=kept)
     # Pair images by the stamps of their headers; the order of messages in a bag means nothing.
     pair_tolerance_ms = options.pair_tolerance_ms
     tolerance_ns = round(1e6 * pair_tolerance_ms)
@@ -241,12 +245,11 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
     stamps_ns = np.array(content.left_ns, dtype=np.int64)[pairs.left]
     check_stamps(stamps_ns, f"{path}: {topics.left}")
 
-    # Only the first images are decoded here, for their size and depth.
-    left_images = _first_images(content, topics.left, path)
-    right_images = _first_images(content, topics.right, path)
-    is_deep = all(image.dtype == np.uint16 for image in [*left_images, *right_images])
-    gray_range = GrayRange.of([*left_images, *right_images]) if is_deep else None
-    size_px = (left_images[0].shape[1], left_images[0].shape[0])
+    # Only a few images are decoded here, for their size and depth.
+    height_px, width_px = _decoded_image(content, content.images[topics.left][0]).shape
+    _decoded_image(content, content.images[topics.right][0])
+    gray_range = common_range(_decodable_images(content))
+    size_px = (width_px, height_px)
 
     calibration = _calibration(path, content, topics, options=options, size_px=size_px)
     imu = with_noise_of(calibration.imu, options.imu_noise)
@@ -352,10 +355,22 @@ def _calibration(
     )
 
 
-def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> None:
+def _gather(
+    content: _Content,
+    message: RawMessage,
+    topics: StereoTopics,
+    *,
+    kept: dict[str, frozenset[int]],
+) -> None:
     """Add a message to the content of the bag.
 
     A faulty pose is kept as an error, since the truth or the frame may not be needed.
+
+    Args:
+        content: what has been read before.
+        message: the next message of the bag.
+        topics: the topics that are read.
+        kept: which images of both topics are kept, counted from 0.
 
     Raises:
         InputError: the message is damaged.
@@ -364,10 +379,9 @@ def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> Non
     if message.topic in (topics.left, topics.right):
         # Only the header of an image is read here.
         stamps_ns = content.left_ns if message.topic == topics.left else content.right_ns
+        if len(stamps_ns) in kept[message.topic]:
+            content.images[message.topic].append(message)
         stamps_ns.append(decoder.stamp_ns(message))
-        first = content.first_images[message.topic]
-        if len(first) < NUM_FIRST_FRAMES:
-            first.append(message)
     elif message.topic in (topics.left_info, topics.right_info):
         if message.topic not in content.infos:
             where = f"{decoder.path}: {message.topic}"
@@ -437,16 +451,22 @@ def _frames_of(images: IntArray, count: int) -> IntArray:
     return frames
 
 
-def _first_images(content: _Content, topic: str, path: Path) -> list[AnyArray]:
-    """Return the first images of a topic as grayscale, of the depth that they are stored in.
+def _decoded_image(content: _Content, message: RawMessage) -> AnyArray:
+    """Return an image as grayscale, of the depth that it is stored in.
 
     Raises:
-        InputError: one is damaged, or of an unknown encoding.
+        InputError: it is damaged, or of an unknown encoding.
     """
-    where = f"{path}: {topic}"
-    return [
-        gray_of(content.decoder.decoded(message), where) for message in content.first_images[topic]
-    ]
+    decoder = content.decoder
+    return gray_of(decoder.decoded(message), f"{decoder.path}: {message.topic}")
+
+
+def _decodable_images(content: _Content) -> Iterator[AnyArray]:
+    """Yield the images that were kept; one that is damaged is left to the reading of its frame."""
+    for messages in content.images.values():
+        for message in messages:
+            with suppress(InputError):
+                yield _decoded_image(content, message)
 
 
 def _info(path: Path, content: _Content, images: str, topic: str | None) -> CameraInfo:
@@ -486,7 +506,7 @@ def _imu_of_transforms(
     """
     if not content.imu_ns:
         return None
-    image = content.decoder.decoded(content.first_images[topics.left][0])
+    image = content.decoder.decoded(content.images[topics.left][0])
     if frame_name(image.header.frame_id) == frame_name(content.imu_frame):
         return None
     T_root_cam, camera_root = _from_root(content, image.header.frame_id)
@@ -572,7 +592,7 @@ def _body_from_camera(
     if truth_of == IMU:
         return imu_from_camera(imu, poses.where)
     body = poses.child or poses.named
-    image = content.decoder.decoded(content.first_images[topics.left][0])
+    image = content.decoder.decoded(content.images[topics.left][0])
     T_root_cam, camera_root = _from_root(content, image.header.frame_id)
     T_root_body, body_root = _from_root(content, body)
     if not body or camera_root != body_root:
