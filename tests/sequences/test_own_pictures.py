@@ -66,7 +66,8 @@ def named_by_stamps(root: Path, steps: tuple[int, ...]) -> Path:
             [1520530308199447000, 1520530308249448000],
         ),
         (["1520530308199", "1520530308249"], [1520530308199000000, 1520530308249000000]),
-        (["1520530308.199447626", "1520530308.25"], [1520530308199447626, 1520530308250000000]),
+        (["1520530308.199447626", "1520530308.05"], [1520530308199447626, 1520530308050000000]),
+        (["1520530308.0", "1520530308.25"], [1520530308000000000, 1520530308250000000]),
         (["000000", "000001"], None),
         (["0000000012.25", "0000000012.75"], None),
         (["12.25", "12.75"], None),
@@ -82,6 +83,24 @@ def named_by_stamps(root: Path, steps: tuple[int, ...]) -> Path:
 def test_stamps_in_file_names(names: list[str], stamps_ns: list[int] | None) -> None:
     found = stamps_of_names([Path(f"{name}.png") for name in names])
     assert (None if found is None else found.tolist()) == stamps_ns
+
+
+def test_nanoseconds_without_leading_zeros_are_refused(tmp_path: Path) -> None:
+    """The frame at 13 ms was once read as one at 130 ms, between two others."""
+    path = without_times(tmp_path)
+    names = [f"1600000000.{nanoseconds}" for nanoseconds in (13000000, 63000000, 113000000)]
+    names.append("1600000000.163000000")
+    for side in ("left", "right"):
+        rename(path, side, names)
+    with pytest.raises(InputError, match="or nanoseconds without leading zeros") as refused:
+        open_sequence(path)
+    assert "1600000000.113000000.png and 1600000000.13000000.png" in refused.value.what
+    assert "to nine digits" in refused.value.cure
+    for side in ("left", "right"):
+        for file in (path / side).iterdir():
+            seconds, nanoseconds = file.stem.split(".")
+            file.rename(file.with_stem(f"{seconds}.{int(nanoseconds):09d}"))
+    np.testing.assert_array_equal(np.diff(open_sequence(path).stamps_ns), 50_000_000)
 
 
 def test_a_folder_with_stamps_as_names(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ NS_PER_S = 1_000_000_000
 NAME_STAMP = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<decimals>[0-9]+))?$")
 NS_OF_DIGITS = {13: 1_000_000, 16: 1_000, 19: 1}
 """Unit of a whole Unix time by its number of digits, which holds from 2001 to 2286."""
+NS_DIGITS = 9
+"""Decimals of a second in nanoseconds."""
 SECONDS_DIGITS = 10
 """Digits of a Unix time in seconds, in the same years."""
 MIN_EXPONENT = -100
@@ -79,6 +81,9 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     A stamp is the number at the end of the name: Unix time in seconds, of 10 digits, with decimals,
     or as a whole number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files. A number
     that begins with 0 is that of a frame, and one of other digits may be a date.
+
+    Raises:
+        InputError: decimals may be fractions of a second, or nanoseconds without leading zeros.
     """
     numbers = [NAME_STAMP.search(file.stem) for file in files]
     found = [number for number in numbers if number is not None]
@@ -93,11 +98,46 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     if has_decimals == {True}:
         if num_digits != {SECONDS_DIGITS}:
             return None
+        _check_decimals(files, found)
         return np.array([round(Decimal(number[0]) * NS_PER_S) for number in found], dtype=np.int64)
     unit_ns = NS_OF_DIGITS.get(num_digits.pop())
     if unit_ns is None:
         return None
     return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
+
+
+def _check_decimals(files: list[Path], stamps: list[re.Match[str]]) -> None:
+    """Refuse stamps whose decimals may be whole nanoseconds, written without leading zeros.
+
+    Fractions that differ in length because their trailing zeros were left out have leading ones.
+
+    Args:
+        files: the files, for the message.
+        stamps: seconds and decimals in the name of each.
+
+    Raises:
+        InputError: nothing tells, and as nanoseconds they would have another order.
+    """
+    decimals = [stamp["decimals"] for stamp in stamps]
+    num_decimals = {len(text) for text in decimals}
+    has_leading_zero = any(text.startswith("0") for text in decimals if text != "0")
+    if len(num_decimals) == 1 or max(num_decimals) > NS_DIGITS or has_leading_zero:
+        return
+    as_fractions = sorted(range(len(stamps)), key=lambda index: Decimal(stamps[index][0]))
+    as_whole_ns = sorted(
+        range(len(stamps)), key=lambda index: (int(stamps[index]["whole"]), int(decimals[index]))
+    )
+    for one, other in zip(as_fractions, as_whole_ns, strict=True):
+        if stamps[one][0] != stamps[other][0]:
+            what = (
+                f"the decimals of {files[one].name} and {files[other].name} may be fractions of a"
+                " second, or nanoseconds without leading zeros, which gives another order."
+            )
+            cure = (
+                "Pad the nanoseconds with leading zeros to nine digits, fractions with trailing"
+                " ones."
+            )
+            raise InputError(files[one], what, cure)
 
 
 def evenly_spaced(count: int, rate_hz: float) -> IntArray:

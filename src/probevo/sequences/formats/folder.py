@@ -256,7 +256,11 @@ def _list_pictures(path: Path, options: FolderOptions) -> _Pictures:
 
 
 def _are_named_by_stamps(path: Path) -> bool:
-    """Return whether the names of the left images are stamps, and those of the right ones."""
+    """Return whether the names of the left images are stamps, and those of the right ones.
+
+    Raises:
+        InputError: a folder is missing or empty, or the names are ambiguous.
+    """
     return all(stamps_of_names(list_images(path / side)) is not None for side in ("left", "right"))
 
 
@@ -264,7 +268,7 @@ def _pictures_by_stamps(path: Path, tolerance_ms: float) -> _Pictures:
     """Return the pairs by the stamps in their names, which may differ from left to right.
 
     Raises:
-        InputError: the names are no stamps, or few images have a partner.
+        InputError: the names are no stamps or ambiguous ones, or few images have a partner.
     """
     left_files = list_images(path / "left")
     right_files = list_images(path / "right")
