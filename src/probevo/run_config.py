@@ -103,7 +103,8 @@ class ReadSettings(Settings):
         description=(
             "Calibration of the cameras, instead of the recording's own, for folders, bags, videos"
             " and EuRoC's layout: a file of Kalibr, OpenCV, ROS, VINS-Fusion or ORB-SLAM3. It"
-            " rectifies the images."
+            " rectifies the images. Four coefficients of OpenCV are those of cv2.fisheye if its key"
+            " distortion_model is fisheye, and else of ordinary lenses."
         ),
     )
     imu_noise: Path | None = Field(

@@ -187,6 +187,59 @@ def test_opencv_in_one_file(tmp_path: Path) -> None:
     assert_as_written(read_stereo_calibration(tmp_path / "stereo.xml"))
 
 
+def write_opencv(path: Path, coefficients: tuple[float, ...], distortion_model: str | None) -> Path:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", SIZE_PX[0])
+    storage.write("image_height", SIZE_PX[1])
+    for number, intrinsics in ((1, LEFT_K), (2, RIGHT_K)):
+        storage.write(f"K{number}", camera_matrix(intrinsics))
+        storage.write(f"D{number}", np.array([coefficients]))
+    storage.write("R", T_RIGHT_LEFT[:3, :3].copy())
+    storage.write("T", T_RIGHT_LEFT[:3, 3:].copy())
+    if distortion_model is not None:
+        storage.write("distortion_model", distortion_model)
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "distortion_model", "model", "is_assumed"),
+    [
+        (EQUIDISTANT, None, "radtan", True),
+        (EQUIDISTANT, "fisheye", "equidistant", False),
+        (RADTAN, "plumb_bob", "radtan", False),
+        ((*RADTAN, 0.01), None, "radtan", False),
+        ((0.0, 0.0, 0.0, 0.0), None, "radtan", False),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".yml", ".xml"])
+def test_four_coefficients_of_opencv_are_reported_if_nothing_tells_what_they_are(
+    suffix: str,
+    coefficients: tuple[float, ...],
+    distortion_model: str | None,
+    model: str,
+    *,
+    is_assumed: bool,
+    tmp_path: Path,
+) -> None:
+    path = write_opencv(tmp_path / f"stereo{suffix}", coefficients, distortion_model)
+    calibration = read_stereo_calibration(path)
+    assert calibration.left.distortion_model == calibration.right.distortion_model == model
+    notes = dict(calibration.notes)
+    assert ("! calibration" in notes) == is_assumed
+    if is_assumed:
+        assert "the key distortion_model with the value fisheye" in notes["! calibration"]
+
+
+def test_what_was_assumed_of_a_calibration_is_a_note_of_the_recording(tmp_path: Path) -> None:
+    folder = write_folder_sequence(tmp_path / "folder", imu=False)
+    sequence = open_sequence(
+        folder, calibration=write_opencv(tmp_path / "stereo.yml", RADTAN, None)
+    )
+    assert isinstance(sequence, StereoRecording)
+    assert "stereo.yml has four" in dict(sequence.notes)["! calibration"]
+
+
 def test_orb_slam3(tmp_path: Path) -> None:
     lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']
     for name, intrinsics in (("Camera1", LEFT_K), ("Camera2", RIGHT_K)):

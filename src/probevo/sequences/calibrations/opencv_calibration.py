@@ -25,6 +25,10 @@ RIGHT_DISTORTION = (
 )
 SIZES = ("imageSize", "image_size", "size", "resolution")
 WIDTHS = (("image_width", "image_height"), ("width", "height"))
+MODEL = "distortion_model"
+"""The key that names the distortion model, which OpenCV's own programs do not write."""
+NUM_FISHEYE = 4
+"""Coefficients of a fisheye."""
 TWO_FILES = {"intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 """The files of OpenCV's sample, each with the other one."""
 
@@ -37,7 +41,8 @@ def is_opencv(content: CalibrationContent) -> bool:
 def read_opencv(content: CalibrationContent, size_px: SizePx | None) -> StereoCalibration:
     """Read the cameras 1 as left and 2 as right: p_right = R p_left + T.
 
-    Rotations and projections for rectification, which the file may hold, are computed anew.
+    Rotations and projections for rectification, which the file may hold, are computed anew. A note
+    says where nothing tells an ordinary lens from a fisheye.
 
     Args:
         content: the file, or one of the two files of OpenCV's sample.
@@ -57,7 +62,11 @@ def read_opencv(content: CalibrationContent, size_px: SizePx | None) -> StereoCa
     left = _pinhole(content, LEFT_MATRIX, LEFT_DISTORTION, model, size_px)
     right = _pinhole(content, RIGHT_MATRIX, RIGHT_DISTORTION, model, size_px)
     return StereoCalibration(
-        where=content.path, left=left, right=right, T_right_left=se3.from_parts(R, T)
+        where=content.path,
+        left=left,
+        right=right,
+        T_right_left=se3.from_parts(R, T),
+        notes=_notes_on_model(content),
     )
 
 
@@ -101,15 +110,34 @@ def _model(content: CalibrationContent) -> DistortionModel:
     Raises:
         InputError: it is another one.
     """
-    if "distortion_model" not in content:
+    if MODEL not in content:
         return "radtan"
-    name = content.text("distortion_model")
+    name = content.text(MODEL)
     if name in ("fisheye", "equidistant"):
         return "equidistant"
     if name in ("radtan", "plumb_bob", "rational_polynomial"):
         return "radtan"
     what = f"the model {name!r} is not supported."
-    raise InputError(content.where("distortion_model"), what, "Known are plumb_bob and fisheye.")
+    raise InputError(content.where(MODEL), what, "Known are plumb_bob and fisheye.")
+
+
+def _notes_on_model(content: CalibrationContent) -> tuple[tuple[str, str], ...]:
+    """Say that the lenses were taken for ordinary ones, where they may as well be fisheyes.
+
+    Four coefficients are those of ``cv2.fisheye``, or the first four of ``cv2.stereoCalibrate``.
+    """
+    if MODEL in content:
+        return ()
+    sides = (LEFT_DISTORTION, RIGHT_DISTORTION)
+    distortion = [content.numbers(_first_key(content, keys)) for keys in sides]
+    if not any(len(each) == NUM_FISHEYE and each.any() for each in distortion):
+        return ()
+    text = (
+        f"{content.path.name} has four distortion coefficients and no {MODEL}: they are taken for"
+        f" those of ordinary lenses. If they are of cv2.fisheye, add the key {MODEL} with the value"
+        " fisheye, and else with plumb_bob."
+    )
+    return (("! calibration", text),)
 
 
 def _pinhole(

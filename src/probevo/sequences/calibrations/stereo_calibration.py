@@ -40,6 +40,8 @@ class StereoCalibration:
     readout_s: float = 0.0
     """Time from the exposure of the first row of an image to that of the last one; 0 if the file
     does not give it."""
+    notes: tuple[tuple[str, str], ...] = ()
+    """Name and text of what had to be assumed of the file."""
 
     def resized(self, size_px: SizePx) -> StereoCalibration:
         """Return the calibration for images that were scaled to another size.

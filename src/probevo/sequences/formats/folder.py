@@ -131,6 +131,8 @@ class Cameras:
     imu: ImuCalibration | None
     where: Path
     """The file."""
+    notes: tuple[tuple[str, str], ...] = ()
+    """What had to be assumed of the file."""
 
 
 def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecording:
@@ -186,7 +188,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         truth=_read_truth(path, options, stamps_ns, imu=imu),
         rectification=cameras.rectification,
         gray_range=range_of_files(pictures.left_files, pictures.right_files),
-        notes=(*pictures.notes, *_notes_on_imu(path, cameras)),
+        notes=(*pictures.notes, *cameras.notes, *_notes_on_imu(path, cameras)),
     )
 
 
@@ -334,6 +336,7 @@ def read_cameras(
             rectification=rectification,
             imu=raw.imu(rectification.C_rect_left),
             where=calibration,
+            notes=raw.notes,
         )
     own = _read_calibration(own_file)
     camera = StereoCamera(

@@ -253,7 +253,7 @@ def _opened(path: Path, options: RosbagOptions) -> BagRecording:
 
     calibration = _calibration(path, content, topics, options=options, size_px=size_px)
     imu = with_noise_of(calibration.imu, options.imu_noise)
-    notes = _notes(content, topics, pairs, options=options, imu=imu)
+    notes = (*_notes(content, topics, pairs, options=options, imu=imu), *calibration.notes)
     imu_stream: ImuStream | None = None
     if imu is not None:
         try:
@@ -303,6 +303,8 @@ class _Calibration(NamedTuple):
     """Rotation from the raw to the rectified left camera, [3, 3]."""
     imu: ImuCalibration | None
     """None if nothing says where the IMU is."""
+    notes: tuple[tuple[str, str], ...] = ()
+    """What had to be assumed of the file."""
 
 
 def _calibration(
@@ -320,12 +322,14 @@ def _calibration(
     """
     camera: StereoCamera
     rectification: Rectification | None
+    notes: tuple[tuple[str, str], ...] = ()
     if options.calibration is not None:
         from_file = read_stereo_calibration(options.calibration, size_px, resized=options.resized)
         rectification = from_file.rectification()
         camera = rectification.camera
         C_rect_left = rectification.C_rect_left
         imu = from_file.imu(C_rect_left)
+        notes = from_file.notes
     else:
         left_info = _info(path, content, topics.left, topics.left_info)
         right_info = _info(path, content, topics.right, topics.right_info)
@@ -351,7 +355,11 @@ def _calibration(
         )
         raise InputError(f"{path}: {topics.left}", what, cure)
     return _Calibration(
-        camera=camera, rectification=rectification, C_rect_left=C_rect_left, imu=imu
+        camera=camera,
+        rectification=rectification,
+        C_rect_left=C_rect_left,
+        imu=imu,
+        notes=notes,
     )
 
 

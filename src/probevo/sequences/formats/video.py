@@ -118,7 +118,7 @@ def open_video(path: Path, options: VideoOptions | None = None) -> VideoRecordin
         camera=cameras.camera,
         stamps_ns=stamps_ns,
         rectification=cameras.rectification,
-        notes=notes,
+        notes=(*notes, *cameras.notes),
         files=files,
     )
 
