@@ -127,7 +127,7 @@ def _spoil(arguments: SpoilArguments) -> list[str]:
     settings = checked(arguments.settings)
     reading = checked(arguments.reading)
     from probevo.cli.progress import progress_bar
-    from probevo.output.recording_folder import check_new_folder
+    from probevo.output.recording_folder import check_new_folder, left_out_text
     from probevo.sequences import open_sequence
     from probevo.storage.work_folder import as_only_writer, moved_when_complete
     from probevo_sim.spoiling.recording import SpoiledRecording, write_spoiled
@@ -142,11 +142,14 @@ def _spoil(arguments: SpoilArguments) -> list[str]:
         progress_bar(f"spoiling {original.path.resolve().name}", "reading") as show,
         moved_when_complete(work, out) as partial,
     ):
-        write_spoiled(partial, recording, on_frame=lambda index: show(index + 1, num_frames))
+        num_left_out = write_spoiled(
+            partial, recording, on_frame=lambda index: show(index + 1, num_frames)
+        )
     effects = Counter(plan.effect or "clean" for plan in recording.plans)
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in effects.most_common())
     return [
         f"{out}: {num_frames} of {len(original)} frames; {counts}",
+        *([left_out_text(num_left_out)] if num_left_out else []),
         _next_command(out, out.with_name(f"{out.name}-run")),
     ]
 

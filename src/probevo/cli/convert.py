@@ -81,8 +81,12 @@ def main(words: list[str]) -> None:
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
     with as_only_writer(arguments.out, _check_new) as work:
-        _write(sequence, arguments, work, num_frames=num_frames, is_bag=is_bag)
+        num_left_out = _write(sequence, arguments, work, num_frames=num_frames, is_bag=is_bag)
     print(f"{num_frames} frames written: {arguments.out}")
+    if num_left_out:
+        from probevo.output.recording_folder import left_out_text
+
+        print(left_out_text(num_left_out))
     if is_bag and sequence.imu is not None:
         print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
     if is_bag and isinstance(sequence, MaskedRecording):
@@ -138,8 +142,12 @@ def _write(
     *,
     num_frames: int,
     is_bag: bool,
-) -> None:
-    """Write the recording with a progress bar; a folder appears when it is complete."""
+) -> int:
+    """Write the recording with a progress bar; a folder appears when it is complete.
+
+    Returns:
+        The number of IMU samples that were left out.
+    """
     from probevo.cli.progress import progress_bar
     from probevo.output.recording_folder import check_new_folder, write_recording_folder
     from probevo.output.ros.recording_bag import write_recording_bag
@@ -160,10 +168,12 @@ def _write(
                 is_compressed=arguments.compressed,
                 on_frame=on_frame,
             )
-        else:
-            check_new_folder(arguments.out)
-            with moved_when_complete(work, arguments.out) as partial:
-                write_recording_folder(partial, sequence, num_frames=num_frames, on_frame=on_frame)
+            return 0
+        check_new_folder(arguments.out)
+        with moved_when_complete(work, arguments.out) as partial:
+            return write_recording_folder(
+                partial, sequence, num_frames=num_frames, on_frame=on_frame
+            )
 
 
 def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:

@@ -38,12 +38,13 @@ def write_recording_folder(
     *,
     num_frames: int,
     on_frame: Callable[[int], None] = lambda index: None,
-) -> None:
+) -> int:
     """Write the rectified images of a recording as PNG files, with masks, calibration, times, IMU
     and truth.
 
     What is read back is the same to the last bit, except that true poses are rounded by the change
-    of their origin.
+    of their origin. IMU samples without a finite angular rate are left out, and a specific force
+    that is not finite is written as unknown: that is how the odometry takes them.
 
     Args:
         folder: the folder; it must be missing or empty.
@@ -51,12 +52,16 @@ def write_recording_folder(
         num_frames: how many frames to write, from the first.
         on_frame: called with the index of each frame that was written.
 
+    Returns:
+        The number of IMU samples that were left out.
+
     Raises:
         InputError: the folder holds something, the recording has no images, one of its files is
             damaged, or a file cannot be written.
     """
     check_new_folder(folder)
-    samples = imu_samples(sequence)
+    recorded = imu_samples(sequence)
+    samples = None if recorded is None else _readable(recorded)
     frames = islice(sequence, num_frames)
     stamps = []
     for pair in stereo_pairs(frames, sequence):
@@ -77,6 +82,29 @@ def write_recording_folder(
     # Last, because it makes the folder a recording.
     content = _calibration(sequence, has_imu=samples is not None)
     write_atomically(folder / "calib.yaml", yaml.safe_dump(content, sort_keys=False))
+    num_written = 0 if samples is None else len(samples.stamps_ns)
+    return 0 if recorded is None else len(recorded.stamps_ns) - num_written
+
+
+def left_out_text(num_samples: int) -> str:
+    """Return what to tell of IMU samples that were left out."""
+    if num_samples == 1:
+        return "1 IMU sample is left out: it has no finite angular rate."
+    return f"{num_samples:,} IMU samples are left out: they have no finite angular rate."
+
+
+def _readable(samples: ImuSamples) -> ImuSamples | None:
+    """Return the samples that can be read back; None if they are fewer than two."""
+    has_rate = np.isfinite(samples.gyro_rad_s).all(axis=1)
+    if has_rate.sum() < 2:
+        return None
+    accel_m_s2 = samples.accel_m_s2[has_rate]
+    has_force = np.isfinite(accel_m_s2).all(axis=1, keepdims=True)
+    return ImuSamples(
+        stamps_ns=samples.stamps_ns[has_rate],
+        gyro_rad_s=samples.gyro_rad_s[has_rate],
+        accel_m_s2=np.where(has_force, accel_m_s2, np.nan),
+    )
 
 
 def _png(pixels: Image) -> bytes:

@@ -200,12 +200,18 @@ def _occluded(pair: _Pair, plan: FramePlan, of_burst: np.random.Generator) -> _P
 
 def write_spoiled(
     out: Path, recording: SpoiledRecording, on_frame: Callable[[int], None] = lambda index: None
-) -> None:
+) -> int:
     """Write a spoiled recording as a folder, with ``spoiled.json`` beside its images.
+
+    Returns:
+        The number of IMU samples that were left out, as ``write_recording_folder`` does.
 
     Raises:
         InputError: the folder holds something, a file of the original is damaged, or one cannot be
             written.
     """
-    write_recording_folder(out, recording, num_frames=len(recording), on_frame=on_frame)
+    num_left_out = write_recording_folder(
+        out, recording, num_frames=len(recording), on_frame=on_frame
+    )
     write_atomically(out / RECORD, json.dumps(recording.record(), indent=1) + "\n")
+    return num_left_out

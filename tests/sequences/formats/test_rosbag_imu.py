@@ -251,3 +251,36 @@ def test_a_bag_without_accelerations_becomes_a_folder_and_a_bag_again(tmp_path: 
         np.testing.assert_array_equal(mine.stamps_ns, theirs.stamps_ns)
         np.testing.assert_array_equal(mine.gyro_rad_s, theirs.gyro_rad_s)
         assert np.isnan(mine.accel_m_s2).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_samples_without_numbers_do_not_spoil_the_folder_of_a_bag(
+    value: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its reader refuses them: without a rate they are left out, without a force it is unknown."""
+    rows = samples()
+    for row in (5, 6):
+        rows[row] = samples(np.array([0.0, value, 0.1]))[row]
+    rows[8] = samples(force_m_s2=np.array([0.3, 0.0, value]))[8]
+    bag = opened(write_imu_bag(tmp_path / "drive.mcap", {TOPIC: rows}))
+    assert main(["convert", str(bag.path), "--out", str(tmp_path / "folder")]) == 0
+    assert "2 IMU samples are left out: they have no finite" in capsys.readouterr().out
+    folder = open_sequence(tmp_path / "folder")
+    assert isinstance(folder, StereoRecording)
+    stamps_ns = stream_of(bag).stamps_ns
+    np.testing.assert_array_equal(
+        stream_of(folder).stamps_ns[1:-1], np.delete(stamps_ns, [0, 6, 7, -1])
+    )
+    is_unknown = np.isnan(stream_of(folder).accel_m_s2).all(axis=1)
+    assert stream_of(folder).stamps_ns[is_unknown] == stamps_ns[9]
+
+
+def test_an_imu_of_one_sample_with_numbers_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = samples(np.full(3, np.nan))
+    rows[0] = samples()[0]
+    path = write_imu_bag(tmp_path / "drive.mcap", {TOPIC: rows})
+    assert main(["convert", str(path), "--out", str(tmp_path / "folder")]) == 0
+    assert f"{NUM_SAMPLES} IMU samples are left out" in capsys.readouterr().out
+    assert open_sequence(tmp_path / "folder").imu is None
