@@ -134,8 +134,8 @@ class ReadSettings(Settings):
         None,
         gt=0.0,
         description=(
-            "Largest time between the two images of a pair, where a bag, or stamps as the names of"
-            " a folder's images, pair them; 2 ms by default."
+            "Largest time between the two images of a pair, where a bag, the data.csv of EuRoC's"
+            " layout, or stamps as the names of a folder's images pair them; 2 ms by default."
         ),
     )
     scene: int | None = Field(

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.sequences import open_sequence
+from probevo.sequences.recording import StereoRecording
 from sequences.recordings import (
     BASELINE_M,
     C_CAM_IMU,
@@ -209,7 +211,59 @@ def test_euroc_drops_images_without_a_partner(tmp_path: Path) -> None:
     path = write_euroc(tmp_path)
     lines = (path / "mav0" / "cam0" / "data.csv").read_text().splitlines()
     (path / "mav0" / "cam0" / "data.csv").write_text("\n".join([*lines[:2], *lines[3:]]))
-    np.testing.assert_array_equal(open_sequence(path).stamps_ns, stamps_ns(4)[[0, 2, 3]])
+    sequence = open_sequence(path)
+    np.testing.assert_array_equal(sequence.stamps_ns, stamps_ns(4)[[0, 2, 3]])
+    assert isinstance(sequence, StereoRecording)
+    assert "without a partner: 0 left, 1 right" in dict(sequence.notes)["! pairs"]
+
+
+@pytest.mark.parametrize(("write", "camera"), [(write_euroc, "cam1"), (write_tum_vi, "cam0")])
+def test_stamps_of_a_pair_may_differ_a_little(
+    write: Callable[[Path], Path], camera: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path)
+    data = path / "mav0" / camera / "data.csv"
+
+    def shift(offset_ns: int) -> None:
+        header, *lines = data.read_text().splitlines()
+        rows = [line.split(",") for line in lines]
+        data.write_text(
+            "\n".join([header, *(f"{int(stamp) + offset_ns},{name}" for stamp, name in rows)])
+        )
+
+    shift(1_000)
+    sequence = open_sequence(path)
+    assert len(sequence) == 4
+    assert isinstance(sequence, StereoRecording)
+    assert "at most 0.001 ms apart" in dict(sequence.notes)["pairs"]
+    np.testing.assert_array_equal(list(sequence)[2].right.shape, list(sequence)[2].left.shape)
+    shift(5_000_000)
+    with pytest.raises(InputError, match=r"only 0 of 4 left(?s:.*)--pair-tolerance-ms allows"):
+        open_sequence(path)
+    assert len(open_sequence(path, pair_tolerance_ms=6.0)) == 4
+
+
+def test_a_calibration_of_the_cameras_of_euroc_says_that_imu_and_truth_are_not_used(
+    tmp_path: Path,
+) -> None:
+    """Both once vanished without a word."""
+    path = write_euroc(tmp_path / "euroc")
+    for camera in ("cam0", "cam1"):
+        (path / "mav0" / camera / "sensor.yaml").unlink()
+    chain = yaml.safe_load("\n".join(camchain_yaml(np.eye(4))))
+    for camera in chain.values():
+        del camera["T_cam_imu"]
+    file = tmp_path / "cameras.yaml"
+    file.write_text(yaml.safe_dump(chain))
+    sequence = open_sequence(path, calibration=file)
+    assert sequence.imu is None
+    assert sequence.truth is None
+    assert isinstance(sequence, StereoRecording)
+    notes = dict(sequence.notes)
+    assert notes["! IMU"].startswith("imu0 is not used: cameras.yaml does not have its pose")
+    assert notes["! truth"].startswith("state_groundtruth_estimate0 is not used: its poses are")
+    for name in ("! IMU", "! truth"):
+        assert "T_cam_imu as --calibration" in notes[name]
 
 
 @pytest.mark.parametrize("named_by", ["imu", "camera"])

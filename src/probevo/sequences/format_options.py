@@ -85,7 +85,17 @@ class FolderOptions(Settings):
     )
 
 
-class EurocOptions(Settings):
+class PairOptions(Settings):
+    """The options of formats whose image files are paired by their stamps."""
+
+    pair_tolerance_ms: float = Field(
+        PAIR_TOLERANCE_MS,
+        gt=0.0,
+        description="The largest time between the images of a pair is positive.",
+    )
+
+
+class EurocOptions(PairOptions):
     """The options of the format euroc."""
 
     calibration: Path | None = Field(

@@ -26,6 +26,7 @@ from probevo.sequences.format_options import (
     EurocOptions,
     FolderOptions,
     KittiFlowOptions,
+    PairOptions,
     RateOptions,
     RosbagOptions,
     VideoOptions,
@@ -179,6 +180,7 @@ _BUILT_IN = (
         summary="TUM-VI in its exported EuRoC layout, rectified on the fly",
         folder_signs=("dso/camchain.yaml",),
         open=_reader("tum_vi:open_tum_vi"),
+        options=PairOptions,
     ),
     SequenceFormat(
         name="euroc",

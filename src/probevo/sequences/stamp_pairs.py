@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import IntArray
+from probevo.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,44 @@ class StampPairs:
     def __len__(self) -> int:
         """Return the number of frames, K."""
         return len(self.left)
+
+
+def paired_images(
+    left_ns: IntArray, right_ns: IntArray, tolerance_ms: float, *, where: Path, by: str
+) -> tuple[StampPairs, tuple[str, str]]:
+    """Pair the image files of two cameras, and say how many have no partner.
+
+    Args:
+        left_ns: stamps of the left images, [L].
+        right_ns: stamps of the right images, [R].
+        tolerance_ms: largest time between the images of a pair, ms.
+        where: file or folder with the stamps, for messages.
+        by: where the stamps are, such as "the file names".
+
+    Returns:
+        The pairs, and name and text of a note on them.
+
+    Raises:
+        InputError: less than half of the images have a partner.
+    """
+    pairs = pair_stamps(left_ns, right_ns, round(1e6 * tolerance_ms))
+    num_left = len(left_ns) - len(pairs)
+    num_right = len(right_ns) - len(pairs)
+    if len(pairs) < max(num_left, num_right):
+        what = (
+            f"only {len(pairs)} of {len(left_ns)} left and {len(right_ns)} right images have a"
+            f" partner within {tolerance_ms:g} ms by the stamps in {by}."
+        )
+        cure = (
+            "Are the cameras triggered together? --pair-tolerance-ms allows for more between them."
+        )
+        raise InputError(where, what, cure)
+    text = (
+        f"{len(pairs)}, by the stamps in {by}, at most"
+        f" {1e-6 * float(np.abs(pairs.offsets_ns).max()):.3f} ms apart; without a partner:"
+        f" {num_left} left, {num_right} right"
+    )
+    return pairs, ("pairs" if num_left + num_right == 0 else "! pairs", text)
 
 
 def pair_stamps(left_ns: IntArray, right_ns: IntArray, tolerance_ns: int) -> StampPairs:

@@ -20,6 +20,7 @@ from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.calibrations.calibration_files import read_stereo_calibration
 from probevo.sequences.calibrations.stereo_calibration import StereoCalibration
+from probevo.sequences.format_options import PAIR_TOLERANCE_MS
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.images import range_of_files, read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
@@ -30,6 +31,7 @@ from probevo.sequences.imu_calibration import (
 )
 from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
+from probevo.sequences.stamp_pairs import paired_images
 from probevo.sequences.stamps import check_stamps
 from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, read_yaml
@@ -40,6 +42,10 @@ GYRO_BIAS_SIGMA_RAD_S = 0.1
 ACCEL_BIAS_SIGMA_M_S2 = 0.1
 """Bias of the accelerometer at power-up, which sensor.yaml does not give. The largest on an axis of
 V1_01 is 0.066 m/s²."""
+IMU = "imu0"
+"""Folder of the IMU."""
+TRUTH = "state_groundtruth_estimate0"
+"""Folder of the true poses."""
 CURE = (
     "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them;"
     " --calibration FILE, such as Kalibr's camchain, replaces sensor.yaml."
@@ -114,19 +120,37 @@ class Cameras:
     """t_imu − t_cam."""
 
 
+@dataclass(frozen=True)
+class ImagePairs:
+    """The pairs of the image files of cam0 and cam1, K of them."""
+
+    stamps_ns: IntArray
+    """Stamps of the left images, [K], ascending."""
+    left_files: list[Path]
+    right_files: list[Path]
+    note: tuple[str, str]
+    """Name and text of what is to be reported: how many have no partner."""
+
+
 def open_euroc(
-    path: Path, calibration: Path | None = None, *, resized: bool = False
+    path: Path,
+    calibration: Path | None = None,
+    *,
+    resized: bool = False,
+    pair_tolerance_ms: float = PAIR_TOLERANCE_MS,
 ) -> StereoRecording:
     """Open cam0 and cam1, which are rectified on the fly, and IMU and ground truth if present.
 
-    Left and right images are matched by their stamps; images without a partner (V2_03 has some) are
-    dropped. The truth of ``state_groundtruth_estimate0`` is interpolated to the images.
+    Left and right images are paired by their stamps; images without a partner (V2_03 has some) are
+    dropped. The truth of ``state_groundtruth_estimate0`` is interpolated to the images. Where
+    nothing tells the pose of the camera in the body, IMU and truth are not used; a note says so.
 
     Args:
         path: ``mav0``, or the folder that holds it.
         calibration: a file of Kalibr or others (``calibration_files``) instead of the
             ``sensor.yaml`` of the cameras.
         resized: whether the images have been scaled since they were calibrated.
+        pair_tolerance_ms: largest time between the images of a pair, ms.
 
     Raises:
         InputError: a file or field is missing, few images have a partner, or a value is impossible.
@@ -138,38 +162,72 @@ def open_euroc(
 
     if calibration is None:
         raw = _own_calibration(mav)
-        stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
+        pairs = pair_images(mav, pair_tolerance_ms)
         if resized:
-            raw = raw.resized(_size_px(left_files[0]))
+            raw = raw.resized(_size_px(pairs.left_files[0]))
     else:
-        stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
-        raw = read_stereo_calibration(calibration, _size_px(left_files[0]), resized=resized)
+        pairs = pair_images(mav, pair_tolerance_ms)
+        size_px = _size_px(pairs.left_files[0])
+        raw = read_stereo_calibration(calibration, size_px, resized=resized)
+    stamps_ns = pairs.stamps_ns
     cameras = _cameras_of(raw, mav)
     rectification = cameras.rectification
 
     imu = None
     imu_stream = None
     truth = None
+    notes = (pairs.note, *raw.notes)
     T_body_cam = cameras.T_body_cam
-    if T_body_cam is not None:
-        if (mav / "imu0").is_dir():
+    if T_body_cam is None:
+        cure = "Give a Kalibr camchain with T_cam_imu as --calibration."
+        notes += notes_without_body(mav, TRUTH, raw.where, cure=cure)
+    else:
+        if (mav / IMU).is_dir():
             imu, imu_stream = _read_imu(
-                mav / "imu0", T_body_cam, stamps_ns, time_offset_s=cameras.imu_time_offset_s
+                mav / IMU, T_body_cam, stamps_ns, time_offset_s=cameras.imu_time_offset_s
             )
-        truth = read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
+        truth = read_truth(mav / TRUTH, T_body_cam, stamps_ns)
     return StereoRecording(
         path=path,
         format="euroc",
         camera=rectification.camera,
         stamps_ns=stamps_ns,
-        left_files=left_files,
-        right_files=right_files,
+        left_files=pairs.left_files,
+        right_files=pairs.right_files,
         imu=imu,
         imu_stream=imu_stream,
         truth=truth,
         rectification=rectification,
-        gray_range=range_of_files(left_files, right_files),
+        gray_range=range_of_files(pairs.left_files, pairs.right_files),
+        notes=notes,
     )
+
+
+def notes_without_body(
+    mav: Path, truth_folder: str, calibration: Path, *, cure: str
+) -> tuple[tuple[str, str], ...]:
+    """Say that IMU and truth are not used, where nothing tells the camera's pose in the body.
+
+    Args:
+        mav: the folder of the sensors.
+        truth_folder: that of the true poses of the body, in it.
+        calibration: the file that does not have the pose of the IMU.
+        cure: how to give it.
+    """
+    notes = []
+    if (mav / IMU / "data.csv").exists():
+        text = (
+            f"{IMU} is not used: {calibration.name} does not have its pose in the camera's frame."
+            f" {cure}"
+        )
+        notes.append(("! IMU", text))
+    if (mav / truth_folder / "data.csv").exists():
+        text = (
+            f"{truth_folder} is not used: its poses are those of the body, and"
+            f" {calibration.name} does not tell where the camera is in it. {cure}"
+        )
+        notes.append(("! truth", text))
+    return tuple(notes)
 
 
 def _size_px(file: Path) -> SizePx:
@@ -209,7 +267,7 @@ def _cameras_of(raw: StereoCalibration, mav: Path) -> Cameras:
     """
     rectification = raw.rectification()
     T_body_left = None
-    imu_yaml = mav / "imu0" / "sensor.yaml"
+    imu_yaml = mav / IMU / "sensor.yaml"
     left_yaml = mav / "cam0" / "sensor.yaml"
     if raw.T_left_imu is not None and imu_yaml.parent.is_dir():
         T_body_imu = read_yaml(imu_yaml, ImuFile).body_from_sensor(imu_yaml)
@@ -227,26 +285,25 @@ def _left_from_rectified(rectification: Rectification) -> FloatArray:
     return se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
 
 
-def match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
-    """Return the stamps, [K], ns, and the left and right files of all pairs.
+def pair_images(mav: Path, tolerance_ms: float) -> ImagePairs:
+    """Return the pairs of the images of cam0 and cam1, by the stamps in ``data.csv``.
 
     Raises:
         InputError: less than half of the images have a partner, or a file is missing or faulty.
     """
-    left_images = _list_images(left)
-    right_images = _list_images(right)
-    stamps = sorted(left_images.keys() & right_images.keys())
-    if 2 * len(stamps) < max(len(left_images), len(right_images)):
-        what = (
-            f"only {len(stamps)} of {len(right_images)} stamps are among the {len(left_images)} of"
-            f" {left.name}."
-        )
-        raise InputError(
-            right / "data.csv", what, "Left and right images are matched by their stamps."
-        )
-    left_files = [left_images[stamp] for stamp in stamps]
-    right_files = [right_images[stamp] for stamp in stamps]
-    return np.array(stamps, dtype=np.int64), left_files, right_files
+    left_images = _list_images(mav / "cam0")
+    right_images = _list_images(mav / "cam1")
+    left_ns = np.array(list(left_images), dtype=np.int64)
+    right_ns = np.array(list(right_images), dtype=np.int64)
+    where = mav / "cam1" / "data.csv"
+    pairs, note = paired_images(left_ns, right_ns, tolerance_ms, where=where, by="data.csv")
+    stamps_ns = left_ns[pairs.left]
+    return ImagePairs(
+        stamps_ns=stamps_ns,
+        left_files=[left_images[stamp] for stamp in stamps_ns.tolist()],
+        right_files=[right_images[stamp] for stamp in right_ns[pairs.right].tolist()],
+        note=note,
+    )
 
 
 def _list_images(camera: Path) -> dict[int, Path]:

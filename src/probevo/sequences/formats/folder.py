@@ -42,7 +42,7 @@ from probevo.sequences.imu_calibration import (
 )
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
-from probevo.sequences.stamp_pairs import pair_stamps
+from probevo.sequences.stamp_pairs import paired_images
 from probevo.sequences.stamps import (
     check_rate,
     check_stamps,
@@ -282,28 +282,12 @@ def _pictures_by_stamps(path: Path, tolerance_ms: float) -> _Pictures:
             " by their stamps (as 1520530308199447626.png), or give --rate-hz."
         )
         raise InputError(path / "times.txt", "this file is missing.", cure)
-    pairs = pair_stamps(left_ns, right_ns, round(1e6 * tolerance_ms))
-    num_left = len(left_files) - len(pairs)
-    num_right = len(right_files) - len(pairs)
-    if len(pairs) < max(num_left, num_right):
-        what = (
-            f"only {len(pairs)} of {len(left_files)} left and {len(right_files)} right images have"
-            f" a partner within {tolerance_ms:g} ms by the stamps in their names."
-        )
-        cure = (
-            "Are the cameras triggered together? --pair-tolerance-ms allows for more between them."
-        )
-        raise InputError(path, what, cure)
-    text = (
-        f"{len(pairs)}, by the stamps in the file names, at most"
-        f" {1e-6 * float(np.abs(pairs.offsets_ns).max()):.3f} ms apart; without a partner:"
-        f" {num_left} left, {num_right} right"
-    )
+    pairs, note = paired_images(left_ns, right_ns, tolerance_ms, where=path, by="the file names")
     return _Pictures(
         stamps_ns=check_stamps(left_ns[pairs.left], path / "left"),
         left_files=[left_files[index] for index in pairs.left],
         right_files=[right_files[index] for index in pairs.right],
-        notes=(("pairs" if num_left + num_right == 0 else "! pairs", text),),
+        notes=(note,),
     )
 
 
