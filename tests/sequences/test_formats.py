@@ -24,12 +24,14 @@ from sequences.recordings import (
     camchain_yaml,
     image,
     poses,
+    sensor_yaml,
     stamps_ns,
     write_euroc,
     write_folder_sequence,
     write_four_seasons,
     write_kitti_odometry,
     write_kitti_raw,
+    write_lines,
     write_tartan_air,
     write_tracks,
     write_tum_vi,
@@ -241,6 +243,31 @@ def test_stamps_of_a_pair_may_differ_a_little(
     with pytest.raises(InputError, match=r"only 0 of 4 left(?s:.*)--pair-tolerance-ms allows"):
         open_sequence(path)
     assert len(open_sequence(path, pair_tolerance_ms=6.0)) == 4
+
+
+def test_the_truth_of_euroc_is_that_of_its_sensor(tmp_path: Path) -> None:
+    """T_BS takes coordinates from the sensor to the body: T_map_body = T_map_sensor T_BS⁻¹."""
+    path = write_euroc(tmp_path)
+    folder = path / "mav0" / "state_groundtruth_estimate0"
+    before = open_sequence(path).truth
+    write_lines(folder / "sensor.yaml", sensor_yaml(np.eye(4)))
+    same = open_sequence(path).truth
+    assert before is not None
+    assert same is not None
+    np.testing.assert_array_equal(same.T_world_cam, before.T_world_cam)
+    # A sensor whose z axis, along which it moves by the file, is the body's −y axis.
+    T_body_sensor = np.array(
+        [[1.0, 0.0, 0.0, 0.2], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    )
+    write_lines(folder / "sensor.yaml", sensor_yaml(T_body_sensor))
+    after = open_sequence(path).truth
+    assert after is not None
+    expected = T_body_sensor @ before.T_world_cam @ np.linalg.inv(T_body_sensor)
+    np.testing.assert_allclose(after.T_world_cam, expected, atol=1e-12)
+    np.testing.assert_allclose(after.T_world_cam[:, 1, 3], -before.T_world_cam[:, 2, 3], atol=1e-12)
+    write_lines(folder / "sensor.yaml", ["comment: none"])
+    with pytest.raises(InputError, match="T_BS is missing"):
+        open_sequence(path)
 
 
 def test_a_calibration_of_the_cameras_of_euroc_says_that_imu_and_truth_are_not_used(

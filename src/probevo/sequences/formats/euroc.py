@@ -186,7 +186,8 @@ def open_euroc(
             imu, imu_stream = _read_imu(
                 mav / IMU, T_body_cam, stamps_ns, time_offset_s=cameras.imu_time_offset_s
             )
-        truth = read_truth(mav / TRUTH, T_body_cam, stamps_ns)
+        T_truth_cam = _truth_from_body(mav / TRUTH) @ T_body_cam
+        truth = read_truth(mav / TRUTH, T_truth_cam, stamps_ns)
     return StereoRecording(
         path=path,
         format="euroc",
@@ -359,10 +360,29 @@ def _read_imu(
     return calibration, stream
 
 
-def read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
+def _truth_from_body(folder: Path) -> FloatArray:
+    """Return T_truth_body, [4, 4], m, of the sensor whose poses the truth has.
+
+    Its ``sensor.yaml`` gives T_BS as that of any sensor, the identity in EuRoC's own files; without
+    the file it is the body itself.
+
+    Raises:
+        InputError: the file is faulty.
+    """
+    path = folder / "sensor.yaml"
+    if not path.exists():
+        return np.eye(4)
+    return se3.inverse(read_yaml(path, SensorFile).body_from_sensor(path))
+
+
+def read_truth(folder: Path, T_truth_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
     """Return the truth of the rectified left camera at the frames; None if there is none.
 
-    The file gives position and quaternion (w, x, y, z) of the body.
+    Args:
+        folder: that of the truth, whose file gives position and quaternion (w, x, y, z) of a
+            sensor in the map.
+        T_truth_cam: pose of the rectified left camera in the frame of that sensor, [4, 4], m.
+        at_ns: times of the frames, [K].
 
     Raises:
         InputError: the file is faulty, or knows no pose of the frames.
@@ -379,7 +399,7 @@ def read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundT
     if len(bad):
         what = f"the quaternion of pose {bad[0]} (from 0) is not of unit length."
         raise InputError(path, what, "Order: w, x, y, z.")
-    # The file has the body's poses in the map frame; the camera is fixed to the body.
+    # The camera is fixed to the sensor.
     C = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
-    T_map_cam = se3.from_parts(C, values[:, :3]) @ T_body_cam
+    T_map_cam = se3.from_parts(C, values[:, :3]) @ T_truth_cam
     return ground_truth(at_ns, interpolate_poses(stamps_ns, T_map_cam, at_ns), path)
