@@ -63,6 +63,9 @@ def test_a_tenth_of_steps_without_a_solve_is_said() -> None:
     assert "TOO_FEW_TRACKS" in said
 
 
+ALL_OK = np.ones(29, np.bool_)
+
+
 def _winding(rng: np.random.Generator, length_m: float) -> FloatArray:
     """Return true poses of a drive whose steps have a length of their own each, [30, 4, 4]."""
     steps = np.tile(np.eye(4), (29, 1, 1))
@@ -74,18 +77,59 @@ def test_the_truth_of_another_recording_is_warned_of() -> None:
     ours = _winding(np.random.default_rng(1), 1.0)
     other = _winding(np.random.default_rng(2), 1.0)
     steps = relative_motions(ours)
-    assert truth_warning(steps, ours) is None
-    said = truth_warning(steps, other)
+    assert truth_warning(steps, ALL_OK, ours) is None
+    said = truth_warning(steps, ALL_OK, other)
     assert said is not None
     assert "Is it the truth of this recording" in said
     # A wrong scale is another warning, and a truth may be coarse where the camera hardly moves.
     twice = steps.copy()
     twice[:, :3, 3] *= 2.0
-    assert truth_warning(twice, ours) is None
+    assert truth_warning(twice, ALL_OK, ours) is None
     slow, noisy = (_winding(np.random.default_rng(seed), 0.03) for seed in (1, 2))
-    assert truth_warning(relative_motions(slow), noisy) is None
-    assert truth_warning(steps, np.full_like(ours, np.nan)) is None
-    assert truth_warning(steps, None) is None
+    assert truth_warning(relative_motions(slow), ALL_OK, noisy) is None
+    assert truth_warning(steps, ALL_OK, np.full_like(ours, np.nan)) is None
+    assert truth_warning(steps, ALL_OK, None) is None
+
+
+def _wandering(seed: int, step_m: float) -> FloatArray:
+    """Return true poses of a drive that turns by some 6° a step, [100, 4, 4]."""
+    rng = np.random.default_rng(seed)
+    steps = np.tile(np.eye(4), (99, 1, 1))
+    steps[:, 2, 3] = -step_m
+    turns = np.zeros((99, 6))
+    turns[:, 4] = np.cumsum(0.03 * rng.normal(size=99))
+    return se3.chain_motions(se3.exp(turns) @ steps)
+
+
+def test_the_truth_of_another_slow_recording_is_warned_of() -> None:
+    """Each of its steps is shorter than what a coarse truth may be wrong by."""
+    ours = _wandering(1, 0.024)
+    steps = relative_motions(ours)
+    is_ok = np.ones(99, np.bool_)
+    assert truth_warning(steps, is_ok, ours) is None
+    coarse = ours.copy()
+    coarse[:, :3, 3] += 0.01 * np.random.default_rng(0).normal(size=(100, 3))
+    assert truth_warning(steps, is_ok, coarse) is None
+    said = truth_warning(steps, is_ok, _wandering(2, 0.024))
+    assert said is not None
+    assert said.startswith("Motions over 16 steps are off the true ones by")
+    said = truth_warning(steps, is_ok, se3.inverse(ours))
+    assert said is not None
+    assert "is the truth T_cam_world" in said
+
+
+def test_only_steps_that_are_ok_are_compared_with_the_truth() -> None:
+    """The dead reckoning across a pause was once compared, and set the scale of all others."""
+    ours = _winding(np.random.default_rng(1), 1.0)
+    steps = relative_motions(ours)
+    steps[12, 2, 3] -= 100.0
+    is_ok = ALL_OK.copy()
+    is_ok[12] = False
+    assert truth_warning(steps, is_ok, ours) is None
+    assert truth_warning(steps, ALL_OK, ours) is None  # as of a file, which does not say it
+    steps[:, :3, 3] = 5.0
+    assert truth_warning(steps, ALL_OK, ours) is not None
+    assert truth_warning(steps, ~ALL_OK, ours) is None
 
 
 def _turning(turn_rad: float) -> FloatArray:
@@ -102,7 +146,7 @@ def _turning(turn_rad: float) -> FloatArray:
 def test_inverse_poses_of_the_truth_are_named(turn_rad: float) -> None:
     """On a straight road, which they seem to drive backwards, and on a winding one."""
     steps = _turning(turn_rad)
-    said = truth_warning(steps, se3.inverse(se3.chain_motions(steps)))
+    said = truth_warning(steps, ALL_OK, se3.inverse(se3.chain_motions(steps)))
     assert said is not None
     assert "is the truth T_cam_world" in said
 
@@ -110,7 +154,7 @@ def test_inverse_poses_of_the_truth_are_named(turn_rad: float) -> None:
 def test_a_truth_whose_axes_point_backwards_does_not_fit() -> None:
     steps = _turning(0.1)
     about_y = np.diag([-1.0, 1.0, -1.0, 1.0])
-    said = truth_warning(steps, about_y @ se3.chain_motions(steps) @ about_y)
+    said = truth_warning(steps, ALL_OK, about_y @ se3.chain_motions(steps) @ about_y)
     assert said is not None
     assert "Is it the truth of this recording" in said
 

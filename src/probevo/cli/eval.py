@@ -85,7 +85,7 @@ def main(words: list[str]) -> None:
     if remark:
         print(remark)
     for warning in (
-        truth_warning(T_curr_prev, T_world_cam_true),
+        truth_warning(T_curr_prev, is_ok, T_world_cam_true),
         step_length_warning(T_curr_prev, is_ok, T_world_cam_true),
     ):
         if warning is not None:

@@ -32,11 +32,11 @@ MAX_ACCELEROMETER_ERROR = 0.03
 """Largest plausible error of the scale by the accelerometer, whose own scale is good to 1 %."""
 MAX_HEIGHT_ERROR = 0.03
 """Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
-MAX_STEP_ERROR = 0.25
-"""Error of the steps, as a share of their length, beyond which the truth may be that of another
+MAX_MOTION_ERROR = 0.25
+"""Error of motions, as a share of their length, beyond which the truth may be that of another
 recording."""
-MIN_STEP_ERROR_M = 0.05
-"""Error that a coarse truth may have in a step, m."""
+MIN_MOTION_M = 0.2
+"""Length of the motions that are compared with the truth, which may be wrong by some 5 cm, m."""
 MAX_AT_REST = 0.5
 """Share of steps at rest above which moving features bring a warning; a vehicle that waits for
 crossing traffic moves most of the time."""
@@ -93,7 +93,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
             result.imu_unused_from,
             shutter_rolls=result.readout_s != 0.0,
         ),
-        "Truth": truth_warning(result.T_curr_prev, truth),
+        "Truth": truth_warning(result.T_curr_prev, result.status == Status.OK, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
         "Scale by the camera's height": height_warning(result.ground_height),
@@ -341,47 +341,68 @@ def sensor_warning(result: RunResult) -> str | None:
     return " ".join(texts) + " The path does not use it. Is its mounting correct?"
 
 
-def truth_warning(T_curr_prev: FloatArray, truth: FloatArray | None) -> str | None:
-    """Warn if the steps have little to do with the true ones, whatever their scale; else None.
+def truth_warning(
+    T_curr_prev: FloatArray, is_ok: BoolArray, truth: FloatArray | None
+) -> str | None:
+    """Warn if the motions have little to do with the true ones, whatever their scale; else None.
+
+    They are motions over one step, or over as many as it takes to move farther than a coarse truth
+    may be wrong.
 
     Args:
         T_curr_prev: motions of N-1 steps, [N-1, 4, 4], m.
+        is_ok: which of these steps are OK, [N-1]; only those count.
         truth: true poses T_world_cam of the frames, [N, 4, 4], m; NaN where unknown.
     """
     if truth is None:
         return None
-    true_m = relative_motions(truth)[:, :3, 3]
-    is_known = np.isfinite(true_m).all(axis=1)
-    if is_known.sum() < MIN_FOR_SCALE:
+    T_world_cam = se3.chain_motions(T_curr_prev)
+    num_steps = 1
+    while True:
+        true_m = _displacements(truth, num_steps)
+        is_counted = np.isfinite(true_m).all(axis=1) & _are_all_ok(is_ok, num_steps)
+        if is_counted.sum() < MIN_FOR_SCALE:
+            return None
+        length_m = float(np.median(np.linalg.norm(true_m[is_counted], axis=1)))
+        if length_m >= MIN_MOTION_M:
+            break
+        num_steps *= 2
+    motions_m = _displacements(T_world_cam, num_steps)[is_counted]
+    off_m = _misfit(motions_m, true_m[is_counted])
+    if off_m <= MAX_MOTION_ERROR * length_m:
         return None
-    steps_m = T_curr_prev[is_known, :3, 3]
-    off_m, length_m = _misfit(steps_m, true_m[is_known])
-    if off_m <= _tolerance(length_m):
-        return None
+    which = "The steps are" if num_steps == 1 else f"Motions over {num_steps} steps are"
     text = (
-        f"The steps are off the true ones by {off_m:.2g} m in the median, whatever their scale,"
-        f" where a true step is {length_m:.2g} m long."
+        f"{which} off the true ones by {off_m:.2g} m in the median, whatever their scale, where a"
+        f" true one is {length_m:.2g} m long."
     )
-    inverse_m = relative_motions(se3.inverse(truth))[is_known, :3, 3]
-    off_inverse_m, length_m = _misfit(steps_m, inverse_m)
-    if off_inverse_m <= _tolerance(length_m):
+    inverse_m = _displacements(se3.inverse(truth), num_steps)[is_counted]
+    length_m = float(np.median(np.linalg.norm(inverse_m, axis=1)))
+    if _misfit(motions_m, inverse_m) <= MAX_MOTION_ERROR * length_m:
         return f"{text} They fit the inverse poses: is the truth T_cam_world, not T_world_cam?"
     return f"{text} Is it the truth of this recording, with poses T_world_cam of the camera?"
 
 
-def _misfit(steps_m: FloatArray, true_m: FloatArray) -> tuple[float, float]:
-    """Return by how much steps, [K, 3], are off the true ones, [K, 3], in the median, at the scale
-    that fits best, and the median length of these, m."""
+def _displacements(T_world_cam: FloatArray, num_steps: int) -> FloatArray:
+    """Return the translations of the motions over so many steps, [N - num_steps, 3], m, from each
+    of N poses, [N, 4, 4], on; NaN where either pose is."""
+    T_end_start = se3.inverse(T_world_cam[num_steps:]) @ T_world_cam[:-num_steps]
+    return T_end_start[:, :3, 3]
+
+
+def _are_all_ok(is_ok: BoolArray, num_steps: int) -> BoolArray:
+    """Return whether so many steps, from each of N-1 on, are all OK, [N - num_steps]."""
+    num_bad = np.concatenate([[0], np.cumsum(~is_ok)])
+    return np.asarray(num_bad[num_steps:] == num_bad[:-num_steps])
+
+
+def _misfit(motions_m: FloatArray, true_m: FloatArray) -> float:
+    """Return by how much motions, [K, 3], are off the true ones, [K, 3], in the median, at the
+    scale that fits most of them, m."""
+    squared_m2 = np.sum(motions_m * motions_m, axis=1).clip(1e-12)
     # A scale below zero would fit a path that is driven backwards.
-    scale = max(float(np.sum(steps_m * true_m) / max(np.sum(steps_m * steps_m), 1e-12)), 0.0)
-    off_m = float(np.median(np.linalg.norm(scale * steps_m - true_m, axis=1)))
-    return off_m, float(np.median(np.linalg.norm(true_m, axis=1)))
-
-
-def _tolerance(length_m: float) -> float:
-    """Return the error of steps whose median length is given that may be that of a coarse truth,
-    m."""
-    return max(MAX_STEP_ERROR * length_m, MIN_STEP_ERROR_M)
+    scale = max(float(np.median(np.sum(motions_m * true_m, axis=1) / squared_m2)), 0.0)
+    return float(np.median(np.linalg.norm(scale * motions_m - true_m, axis=1)))
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
