@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from probevo.cli.arguments import checked, parse
+from probevo.cli.arguments import checked, parse_one_of
 from probevo.errors import InputError
 from probevo_paper.dpc_net_config import DpcNetConfig
 from probevo_paper.figure_5_config import BlurConfig
@@ -149,9 +149,29 @@ class PaperArguments:
     ]
 
 
+Experiment = (
+    BlurArguments
+    | TableIArguments
+    | Table12Arguments
+    | Table13Arguments
+    | SunArguments
+    | HydranetArguments
+    | DpcNetArguments
+)
+EXPERIMENTS: dict[str, type[Experiment]] = {
+    "blur": BlurArguments,
+    "table-i": TableIArguments,
+    "table-1.2": Table12Arguments,
+    "table-1.3": Table13Arguments,
+    "sun": SunArguments,
+    "hydranet": HydranetArguments,
+    "dpc-net": DpcNetArguments,
+}
+
+
 def main(words: list[str]) -> None:
     """Parse the words after ``probevo paper``, repeat the experiment, and print its results."""
-    arguments = parse(PaperArguments, words, "paper").experiment
+    arguments = parse_one_of(EXPERIMENTS, words, "paper", PaperArguments)
     from probevo.storage.lock import locked
 
     with locked(arguments.out):
@@ -159,15 +179,7 @@ def main(words: list[str]) -> None:
     print("\n".join(lines))
 
 
-def _repeat(
-    arguments: BlurArguments
-    | TableIArguments
-    | Table12Arguments
-    | Table13Arguments
-    | SunArguments
-    | HydranetArguments
-    | DpcNetArguments,
-) -> list[str]:
+def _repeat(arguments: Experiment) -> list[str]:
     """Repeat the experiment, and return the lines to print."""
     # The experiments are imported here, since help and mistakes should not wait for OpenCV.
     if isinstance(arguments, BlurArguments):

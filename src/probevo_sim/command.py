@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from probevo.cli.arguments import checked, parse
+from probevo.cli.arguments import checked, parse_one_of
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings
 from probevo_sim.point_config import PointConfig
@@ -76,9 +76,16 @@ class SimulateArguments:
     ]
 
 
+WORLDS: dict[str, type[PointArguments | SceneArguments | SpoilArguments]] = {
+    "point": PointArguments,
+    "scene": SceneArguments,
+    "spoil": SpoilArguments,
+}
+
+
 def main(words: list[str]) -> None:
     """Parse the arguments, simulate, and print what to do with the result."""
-    arguments = parse(SimulateArguments, words, "simulate").world
+    arguments = parse_one_of(WORLDS, words, "simulate", SimulateArguments)
     from probevo.storage.lock import locked
 
     if isinstance(arguments, SpoilArguments):  # its folder has to be empty

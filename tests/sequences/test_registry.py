@@ -247,6 +247,13 @@ def test_a_format_without_options_takes_none(tmp_path: Path) -> None:
         open_sequence(write_kitti_odometry(tmp_path), camera="front")
 
 
+def test_an_option_of_the_topics_is_named_as_its_flag(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        open_sequence(write_kitti_odometry(tmp_path), topics_left_info="/left")
+    assert "(--topics.left-info), for the format kitti-odometry" in caught.value.where
+    assert "rosbag" in caught.value.cure
+
+
 @pytest.mark.parametrize("name", ["folder", "drone"])
 def test_a_name_is_registered_once(name: str, drone: Path) -> None:
     with pytest.raises(InputError, match=f"format {name}: a format of this name is already known"):

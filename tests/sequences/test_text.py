@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from probevo.errors import InputError
-from probevo.sequences.text import read_stamped_csv
+from probevo.sequences.text import read_fields, read_stamped_csv
 from sequences.recordings import write_lines
 
 
@@ -39,3 +39,13 @@ def test_nothing_else_may_be_nan(values: str, message: str, tmp_path: Path) -> N
     with pytest.raises(InputError, match=message) as refused:
         read_stamped_csv(file, columns, is_imu=columns == 6)
     assert refused.value.where == f"{file}:1"
+
+
+@pytest.mark.parametrize("line", ["1.5,0,0,0,0,0,0,1", "1.5, 0, 0, 0, 0, 0, 0, 1"])
+def test_commas_instead_of_blanks_are_named_with_the_cure(line: str, tmp_path: Path) -> None:
+    file = tmp_path / "truth.tum"
+    write_lines(file, ["0.5 0 0 0 0 0 0 1", line])
+    with pytest.raises(InputError, match="separated by commas") as refused:
+        read_fields(file, 8)
+    assert refused.value.where == f"{file}:2"
+    assert refused.value.cure == "Replace the commas by blanks."

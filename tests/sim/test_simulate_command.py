@@ -1,6 +1,7 @@
 """``probevo simulate``: what it writes and prints, and how it refuses mistakes."""
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -78,6 +79,28 @@ def test_an_earlier_simulation_is_replaced(tmp_path: Path) -> None:
     }
     replaced = (tmp_path / "out" / "test.npz").read_bytes()
     assert replaced == (tmp_path / "other" / "test.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [
+        (["simulate", "spoil", "drive", "--out", "x", "--topics.lefft", "/x"], "simulate spoil"),
+        (["simulate", "point", "--out", "x", "--landmark", "9"], "simulate point"),
+        (["simulate", "swamp"], "simulate"),
+        (["paper", "sun", "--out", "x", "--seeed", "9"], "paper sun"),
+    ],
+)
+def test_the_help_of_a_subcommand_is_named_in_full(
+    words: list[str],
+    command: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit):
+        main(words)
+    named = re.findall(r"(probevo .*) --help", capsys.readouterr().err)
+    assert set(named) == {f"probevo {command}"}
 
 
 def test_scene_settings_reach_the_renderer(

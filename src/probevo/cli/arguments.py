@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -49,6 +50,29 @@ def parse(
         parsed: Arguments = tyro.cli(
             kind, args=words, prog=f"probevo {command}", config=(tyro.conf.DisallowNone,), **given
         )
+    return parsed
+
+
+def parse_one_of(
+    kinds: Mapping[str, type[Arguments]], words: list[str], command: str, all_kinds: type[Any]
+) -> Arguments:
+    """Parse words of which the first names what the others are arguments of.
+
+    Of subcommands, tyro would name the help without the command before it.
+
+    Args:
+        kinds: the dataclasses of the arguments by that first word.
+        words: what follows the command.
+        command: name of the command, for the help.
+        all_kinds: a dataclass with all of them as subcommands, its only field, for the help.
+
+    Raises:
+        InputError: as ``parse`` does.
+    """
+    if words and words[0] in kinds:
+        return parse(kinds[words[0]], words[1:], f"{command} {words[0]}")
+    parsed: Arguments
+    (parsed,) = vars(parse(all_kinds, words, command)).values()
     return parsed
 
 

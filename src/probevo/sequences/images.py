@@ -226,8 +226,9 @@ def _check_size(
     if size_px is not None:
         what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
         cure = (
-            "All images must have the size that the calibration was made for; if all of a folder"
-            " were scaled since, give --resized."
+            "All images must have the size that the calibration was made for. If all were scaled"
+            " since, --resized scales that of a folder, a bag, a video or EuRoC's layout; other"
+            " formats need theirs scaled."
         )
         raise InputError(where, what, cure)
     if width * height > MAX_PX:

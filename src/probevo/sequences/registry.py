@@ -113,7 +113,7 @@ class SequenceFormat:
         except ValidationError as error:
             fault = error.errors()[0]
             name = ".".join(map(str, fault["loc"]))
-            where = f"{name} (--{name.replace('_', '-')}), for the format {self.name}"
+            where = f"{name} ({_flag(name)}), for the format {self.name}"
             if fault["type"] == "extra_forbidden":
                 known = ", ".join(self.options.model_fields)
                 cure = f"Its options are {known}." if known else "This format has no options."
@@ -130,6 +130,13 @@ class SequenceFormat:
             message = fault["msg"].replace("Input should", "it should")
             raise InputError(where, f"is {brief(fault['input'])}; {message}.", cure) from error
         return {name: getattr(values, name) for name in self.options.model_fields}
+
+
+def _flag(name: str) -> str:
+    """Return the flag of an option; those of the topics of a bag are a group of their own."""
+    group = "topics_"
+    grouped = f"topics.{name.removeprefix(group)}" if name.startswith(group) else name
+    return f"--{grouped.replace('_', '-')}"
 
 
 def _reader(place: str, options_type: type[Settings] | None = None) -> Callable[..., Sequence]:

@@ -103,10 +103,13 @@ def read_fields(path: Path, columns: int) -> list[tuple[str, list[str]]]:
         ("path:line", the ``columns`` texts of the line) of each line.
 
     Raises:
-        InputError: a line has another number of texts, or as ``read_lines`` raises.
+        InputError: a line has commas, or another number of texts, or as ``read_lines`` raises.
     """
     rows = [(where, line.split()) for where, line in read_lines(path)]
     for where, fields in rows:
+        if any("," in field for field in fields):
+            what = "its values are separated by commas; expected blanks."
+            raise InputError(where, what, "Replace the commas by blanks.")
         if len(fields) != columns:
             raise InputError(where, f"this line has {len(fields)} values; expected {columns}.")
     return rows
