@@ -64,6 +64,10 @@ def test_gravity_tells_the_scale_of_the_accelerometer(
     # The bias of these samples is of 0.05 m/s² along each axis.
     assert found.value == pytest.approx(9.81 * (factor - 1.0), abs=0.2)
     assert is_marked(found, 12) == is_wrong
+    assert found.cure.startswith(
+        "the mean specific force, less the mean acceleration by the images, is"
+        f" {found.value + 9.81:.3g} m/s² long."
+    )
 
 
 def poses_of(positions_m: FloatArray) -> FloatArray:

@@ -353,7 +353,10 @@ def gravity_quantity(
     # Only the scatter is estimated; the others are known. The sum has the degrees of freedom of
     # Welch and Satterthwaite, those of the scatter times (σ/scatter)⁴.
     dof = (len(found) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MAX_DOF)
-    cure = f"the mean specific force is {length:.3g} m/s² long. "
+    cure = (
+        "the mean specific force, less the mean acceleration by the images, is"
+        f" {length:.3g} m/s² long. "
+    )
     if length < 2.0:
         cure += "It is in g: multiply by 9.81. Near zero, gravity has been taken off it."
     else:
