@@ -27,7 +27,8 @@ FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
 HEADS = {
     "textureless": "texture-\nless",
     "rectification": "rectifi-\ncation",
-    FIXED: FIXED.replace(", ", ",\n"),
+    "rolling_shutter": "rolling\nshutter",
+    FIXED: "textureless,\nfixed\nplaces",
 }
 """Heads of the heat map that are broken into lines."""
 
@@ -124,7 +125,7 @@ def heat_map(aucs: FloatArray, path: Path) -> None:
     order = sorted(range(len(SPACE.columns)), key=lambda k: SPACE.columns[k] in of_a_step)
     heads = [HEADS.get(row, row) for row in ROWS]
     with figure_style():
-        figure = Figure(figsize=(8.0, 7.8), facecolor="white")
+        figure = Figure(figsize=(8.8, 7.8), facecolor="white")
         axes = figure.add_subplot()
         shown = axes.imshow(aucs[order], cmap="RdBu_r", vmin=0.0, vmax=1.0, aspect="auto")
         for (i, j), value in np.ndenumerate(aucs[order]):
