@@ -52,10 +52,12 @@ def translation_signal(
     Raises:
         numpy.linalg.LinAlgError: the features do not determine the rotation.
     """
-    # Σ a Jᵀ Σ⁻¹ J of each feature, [N, 6, 6], for a disparity of one pixel
+    # Σ a Jᵀ Σ⁻¹ J of each feature, [N, 6, 6], for a disparity of one pixel; without any, the
+    # columns of its translation are zero.
     refined = solution.refined[:, 2]
+    is_finite = np.abs(refined) > MIN_DISPARITY_PX
     jacobian = solution.jacobian.copy()
-    jacobian[:, :, :3] /= np.maximum(np.abs(refined), MIN_DISPARITY_PX)[:, None, None]
+    jacobian[:, :, :3] /= np.where(is_finite, refined, np.inf)[:, None, None]
     weighted = solution.curvature[:, None, None] * (solution.information @ jacobian)
     information = jacobian.mT @ weighted
     # For the disparities as they are; the rotation is eliminated, A_tt − A_tr A_rr⁻¹ A_rt.
