@@ -78,8 +78,9 @@ def test_the_terminal_gives_each_warning_of_the_report(
 ) -> None:
     """A focal length that was wrong by half once had a warning on the report alone."""
     said = {"Focal length": "It is wrong.", "A sensor is faulty": "The sun is."}
-    monkeypatch.setattr("probevo.output.run_warnings.run_warnings", lambda *_: said)
+    # The report first: it takes the function from the other module when it is imported.
     monkeypatch.setattr("probevo.output.report.report.run_warnings", lambda *_: said)
+    monkeypatch.setattr("probevo.output.run_warnings.run_warnings", lambda *_: said)
     assert main(["run", str(wall), "--out", str(tmp_path)]) == 0
     errors = capsys.readouterr().err
     report = (tmp_path / "report.html").read_text()
