@@ -744,6 +744,20 @@ def test_images_that_overwrite_those_to_be_connected_give_these_up(
     assert found == [not is_overwritten]
 
 
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_pixels_may_count_from_the_principal_point(estimator: str) -> None:
+    """A front end of one's own may have them so, and no size of its images."""
+    camera = replace(CAMERA, cu_px=0.0, cv_px=0.0, size_px=None)
+    odometry = pv.StereoOdometry(camera, config={"estimator": estimator})
+    origin_px = np.array([CAMERA.cu_px, CAMERA.cv_px, CAMERA.cu_px, CAMERA.cv_px])
+    for frame in drive(np.random.default_rng(0), 8):
+        assert frame.features is not None
+        features = StereoFeatures(frame.features.ids, frame.features.pixels - origin_px)
+        motion = odometry.step(replace(frame, features=features))
+        assert motion.status in (pv.Status.FIRST, pv.Status.OK)
+        assert np.isfinite(motion.cov_cam_world).all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_points_kilometres_away_give_statuses(seed: int) -> None:
     """They fix the rotation and next to nothing else; the disparity filter is then nearly

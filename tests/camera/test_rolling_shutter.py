@@ -85,6 +85,8 @@ def test_without_a_size_the_principal_point_is_in_the_middle() -> None:
     assert replace(CAMERA, size_px=None).extent_px[1] == 2.0 * CAMERA.cv_px + 1.0
     sized = replace(CAMERA, size_px=(640, 480))
     assert sized.extent_px[1] == 480.0
+    from_principal_point = replace(CAMERA, size_px=None, cu_px=0.0, cv_px=0.0)
+    assert from_principal_point.extent_px == (2.0, 2.0)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

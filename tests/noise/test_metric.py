@@ -25,6 +25,13 @@ def test_each_column_has_mean_0_and_spread_1(data: FloatArray) -> None:
     np.testing.assert_allclose(coordinates.std(axis=0), 1.0, rtol=1e-9)
 
 
+def test_a_mask_of_numpy_says_what_may_be_undefined(data: FloatArray) -> None:
+    """The names that JSON has for truth are Python's."""
+    metric = Metric.fitted(data, COLUMNS, np.array([False, True, False]))
+    assert metric.may_be_undefined == (False, True, False)
+    assert all(type(value) is bool for value in metric.may_be_undefined)
+
+
 def test_units_do_not_matter(data: FloatArray) -> None:
     """A column in other units, with another zero, gives the same places."""
     factor = np.array([100.0, 3.6, -1.0])

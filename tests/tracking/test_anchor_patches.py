@@ -395,6 +395,14 @@ def below_the_sky(gain: float, shift: FloatArray, sky: float) -> Image:
     return np.clip(np.round(gain * radiance), 0, 255).astype(np.uint8)
 
 
+def test_saturated_pixels_of_a_rotated_view_lie_row_by_row() -> None:
+    """Else each window would copy the whole image."""
+    view = np.rot90(np.full((40, 60), 255, np.uint8))
+    saturated = saturated_pixels(view)
+    assert saturated.flags.c_contiguous
+    np.testing.assert_array_equal(saturated, np.ones((60, 40), np.uint8))
+
+
 def skyline_error(gain: float, sky: float, *, leaves_out: bool) -> FloatArray:
     """The mean error of features on the border of the sky, in an image of another exposure."""
     shift = np.array([0.4, -0.3])

@@ -53,9 +53,12 @@ class StereoCamera:
     @property
     def extent_px(self) -> tuple[float, float]:
         """(width, height) of the images; of a camera without a size, the principal point is taken
-        for their middle."""
+        for their middle.
+
+        They have two pixels at least: where pixels count from the principal point, nothing tells.
+        """
         if self.size_px is None:
-            return 2.0 * self.cu_px + 1.0, 2.0 * self.cv_px + 1.0
+            return max(2.0 * self.cu_px + 1.0, 2.0), max(2.0 * self.cv_px + 1.0, 2.0)
         return float(self.size_px[0]), float(self.size_px[1])
 
     @staticmethod

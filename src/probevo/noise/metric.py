@@ -94,7 +94,7 @@ class Metric:
         is_constant = moments.spread <= CONSTANT_BELOW * np.abs(moments.mean)
         return Metric(
             columns=tuple(columns),
-            may_be_undefined=tuple(may_be_undefined) or (False,) * len(columns),
+            may_be_undefined=tuple(map(bool, may_be_undefined)) or (False,) * len(columns),
             mean=moments.mean,
             spread=np.where(is_constant, 1.0, moments.spread),
             weight=np.ones(len(columns)),
@@ -192,7 +192,7 @@ def check_defined(
     wrong = ~np.isfinite(predictors)
     # Infinity is wrong everywhere, NaN where a column must be defined.
     if wrong.any():
-        optional = np.array(tuple(may_be_undefined) or (False,) * len(columns))
+        optional = np.array(tuple(map(bool, may_be_undefined)) or (False,) * len(columns))
         wrong &= ~(np.isnan(predictors) & optional)
     if wrong.any():
         row, m = np.argwhere(wrong)[0].tolist()

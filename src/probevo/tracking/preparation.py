@@ -121,7 +121,8 @@ def usable_places(mask: Image | BoolArray | None, config: TrackingConfig) -> Boo
 
 def saturated_pixels(image: Image) -> Image:
     """Return 1 where a pixel is saturated, else 0, [height, width], uint8; empty if none is."""
-    saturated = image == SATURATED
+    # A view of an image, such as a rotated one, may have another memory layout.
+    saturated = np.ascontiguousarray(image == SATURATED)
     return saturated.view(np.uint8) if saturated.any() else NONE_SATURATED
 
 

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+import inertial_worlds
+import worlds
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
@@ -525,6 +528,28 @@ def gyro_from_the_second_interval_on(frame: Frame) -> Frame:
         return replace(frame, imu=None)
     no_force = np.full_like(frame.imu.accel_m_s2, np.nan)
     return replace(frame, imu=replace(frame.imu, accel_m_s2=no_force))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_imu_waits_until_the_direction_of_gravity_is_known(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The window of a camera with 200 frames a second lasts 50 ms. At 40 to 400 m, images know its
+    acceleration to ten times gravity: any direction of that would fit."""
+    frame_ns = 5_000_000
+    monkeypatch.setattr(worlds, "FRAME_NS", frame_ns)
+    monkeypatch.setattr(inertial_worlds, "FRAME_NS", frame_ns)
+    monkeypatch.setattr(inertial_worlds, "drive", partial(worlds.drive, depth_m=(40.0, 400.0)))
+    rng = np.random.default_rng([70, seed])
+    path = SmoothPath.drawn(rng, swing=1.0)
+    frames, _ = inertial_drive(rng, 20, path, sigma_px=0.5)
+    odometry = StereoOdometry(CAMERA, imu=CALIBRATION, config={"self_calibration": False})
+    images = StereoOdometry(CAMERA, config={"self_calibration": False})
+    for frame in frames:
+        motion = odometry.step(frame)
+        alone = images.step(replace(frame, imu=None))
+    assert Inertial.of(odometry.window).status is ImuStatus.WAITING
+    np.testing.assert_array_equal(motion.T_world_cam, alone.T_world_cam)
 
 
 @pytest.mark.parametrize("change", [at_the_rate_of_the_frames, gyro_from_the_second_interval_on])

@@ -52,6 +52,9 @@ gravity."""
 MAX_EXCESS = 4.0
 """Largest χ² over its degrees of freedom, at the start and later: what factors and images together
 may be noisier than they say."""
+MAX_GRAVITY_SIGMA_M_S2 = 3.0
+"""Largest standard deviation of gravity at the start, where its length is free. Its direction is
+then known to 17°, and may be linearised about: it stays where it is once the first frame leaves."""
 MAX_GATED = 6
 """So many of the last ``NUM_TESTED`` factors beyond the gate, and the IMU is left out."""
 MAX_ATTEMPTS = 30
@@ -109,6 +112,8 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
     except np.linalg.LinAlgError:
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
         return replace(window, inertial=replace(inertial, reason=UNTESTABLE))
+    if fit.gravity_sigma_m_s2 > MAX_GRAVITY_SIGMA_M_S2:
+        return window  # it fits any direction of gravity: wait for more frames
     reason = fit.reason_against(MAX_EXCESS)
     if reason is None:
         states = with_gravity_of_known_length(fit.states)
