@@ -181,6 +181,21 @@ def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> 
     np.testing.assert_allclose(np.reshape(numbers, (3, 3)), CALIBRATION.C_cam_imu, atol=0.02)
 
 
+@pytest.mark.parametrize(("rate_rad_s", "force_m_s2"), [(50.0, 1e7), (1e6, np.inf)])
+def test_a_single_spike_of_the_imu_changes_no_verdict(
+    world: World, rate_rad_s: float, force_m_s2: float
+) -> None:
+    """It was integrated: it hid a scale, or marked a mounting that is right."""
+    stream = world.imu_stream
+    gyro = 1.3 * stream.gyro_rad_s
+    force = stream.accel_m_s2 / 9.81
+    gyro[len(gyro) // 2, 0] = rate_rad_s
+    force[len(force) // 3, 1] = force_m_s2
+    wrong = replace(stream, gyro_rad_s=gyro, accel_m_s2=force)
+    lines = report(replace(world, imu_stream=wrong))
+    assert marked(lines) == {"gyro, scale", "accelerometer, gravity"}
+
+
 def test_swapped_images_and_short_recordings_are_refused(world: World) -> None:
     swapped = changed(world, lambda pixels, k: pixels[:, [2, 3, 0, 1]])
     with pytest.raises(InputError, match="Are left and right swapped"):

@@ -32,6 +32,7 @@ from probevo.sequences import Sequence
 from probevo.sequences.base import imu_stream_of
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.validation import usable_stream
 from probevo.tracking.left_right import LeftRightCheck
 
 MIN_FRAMES = 12
@@ -79,7 +80,8 @@ def check_calibration(sequence: Sequence, max_frames: int) -> CalibrationCheck:
     has_imu = sequence.imu is not None and stream is not None
     if sequence.imu is not None and stream is not None:
         stamps_ns = sequence.stamps_ns[:num_frames]
-        of_imu, C_cam_imu = _imu_quantities(seen, stamps_ns, stream, sequence.imu)
+        usable = usable_stream(stream, stamps_ns)
+        of_imu, C_cam_imu = _imu_quantities(seen, stamps_ns, usable, sequence.imu)
         quantities += of_imu
     return CalibrationCheck(
         num_frames=num_frames,
@@ -100,7 +102,7 @@ def _imu_quantities(
     Args:
         seen: the results of the odometry over N frames.
         stamps_ns: stamps of these frames, [N].
-        stream: the samples of the IMU.
+        stream: the samples of the IMU that the odometry would use.
         calibration: the calibration of the IMU.
 
     Returns:

@@ -17,8 +17,12 @@ from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.gyro_check import integrated_rotations
 from probevo.geometry import se3, so3
 from probevo.odometry import StereoOdometry
-from probevo.sequences.gyro_spikes import find_spikes
-from probevo.sequences.validation import MAX_FORCE_M_S2, MAX_RATE_RAD_S
+from probevo.sequences.validation import (
+    MAX_FORCE_M_S2,
+    MAX_RATE_RAD_S,
+    plausible_stream,
+    spike_stamps,
+)
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
@@ -104,6 +108,7 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
     forces_m_s2 = stream.accel_m_s2[stream.recorded]
     is_implausible = (np.abs(rates_rad_s) > MAX_RATE_RAD_S).any(axis=1)
     num_forces = int((np.abs(forces_m_s2) > MAX_FORCE_M_S2).any(axis=1).sum())
+    num_spikes = len(spike_stamps(plausible_stream(stream), frames_ns))
     of_all = f"of {len(rates_rad_s):,}"
     found = [
         (
@@ -111,31 +116,9 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
             f"have an angular rate over {MAX_RATE_RAD_S:g} rad/s; they are left out",
         ),
         (num_forces, f"have a specific force over {MAX_FORCE_M_S2:g} m/s²; it is left out"),
-        (_count_spikes(stream, frames_ns), "are spikes of the gyro, and left out"),
+        (num_spikes, "are spikes of the gyro, and left out"),
     ]
     return [f"{count:,} {of_all} {text}" for count, text in found if count]
-
-
-def _without_implausible_rates(stream: ImuStream) -> ImuStream:
-    """Return the samples that the odometry would use."""
-    rows = (np.abs(stream.gyro_rad_s) <= MAX_RATE_RAD_S).all(axis=1)
-    return replace(
-        stream,
-        stamps_ns=stream.stamps_ns[rows],
-        gyro_rad_s=stream.gyro_rad_s[rows],
-        accel_m_s2=stream.accel_m_s2[rows],
-    )
-
-
-def _count_spikes(stream: ImuStream, frames_ns: IntArray) -> int:
-    """Return how many samples the odometry would leave out as spikes."""
-    spikes_ns: set[int] = set()  # a sample at a frame belongs to two intervals
-    plausible = _without_implausible_rates(stream)
-    for start_ns, end_ns in pairwise(frames_ns.tolist()):
-        samples = plausible.between(start_ns, end_ns)
-        if samples is not None:
-            spikes_ns.update(samples.stamps_ns[find_spikes(samples.gyro_rad_s)].tolist())
-    return len(spikes_ns)
 
 
 def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalibration) -> str:
@@ -144,7 +127,7 @@ def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalib
     Returns:
         The warning; empty if the two agree, or if there are too few steps to say.
     """
-    stream = _without_implausible_rates(stream)
+    stream = plausible_stream(stream)
     gyro_rad = images.by_gyro(stream, calibration)
     disagreement = _disagreement(images.rotation_rad, gyro_rad)
     covered = np.isfinite(gyro_rad).all(axis=1)

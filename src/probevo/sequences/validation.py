@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame, check_order
 from probevo.sequences.gyro_spikes import find_spikes
+from probevo.sequences.imu import ImuStream
 from probevo.sequences.missing_data import Defect, MissingData
 from probevo.sequences.text import INT64_LIMIT
 
@@ -89,6 +91,40 @@ def validated(
     if prev_frame is not None:
         check_order(prev_frame, frame)
     return frame, tuple(missing)
+
+
+def usable_stream(stream: ImuStream, frames_ns: IntArray) -> ImuStream:
+    """Return the samples of a recording that the odometry would use between its frames.
+
+    Args:
+        stream: the samples of the IMU.
+        frames_ns: stamps of the frames, [K].
+    """
+    stream = plausible_stream(stream)
+    return _kept_of_stream(stream, ~np.isin(stream.stamps_ns, spike_stamps(stream, frames_ns)))
+
+
+def plausible_stream(stream: ImuStream) -> ImuStream:
+    """Return the samples with a finite, plausible angular rate; other forces than such are NaN."""
+    has_force = are_within(stream.accel_m_s2, MAX_FORCE_M_S2)
+    accel_m_s2 = np.where(has_force[:, None], stream.accel_m_s2, np.nan)
+    has_gyro = are_within(stream.gyro_rad_s, MAX_RATE_RAD_S)
+    return _kept_of_stream(replace(stream, accel_m_s2=accel_m_s2), has_gyro)
+
+
+def spike_stamps(stream: ImuStream, frames_ns: IntArray) -> IntArray:
+    """Return the stamps of the spikes of the gyro, which are looked for between two frames.
+
+    Args:
+        stream: samples with plausible angular rates.
+        frames_ns: stamps of the frames, [K].
+    """
+    spikes_ns: set[int] = set()  # a sample at a frame belongs to two intervals
+    for start_ns, end_ns in pairwise(frames_ns.tolist()):
+        samples = stream.between(start_ns, end_ns)
+        if samples is not None:
+            spikes_ns.update(samples.stamps_ns[find_spikes(samples.gyro_rad_s)].tolist())
+    return np.array(sorted(spikes_ns), np.int64)
 
 
 def with_plain_arrays(frame: Frame) -> Frame:
@@ -220,6 +256,16 @@ def _kept(imu: ImuSamples, rows: BoolArray) -> ImuSamples:
         stamps_ns=imu.stamps_ns[rows],
         gyro_rad_s=imu.gyro_rad_s[rows],
         accel_m_s2=imu.accel_m_s2[rows],
+    )
+
+
+def _kept_of_stream(stream: ImuStream, rows: BoolArray) -> ImuStream:
+    """Return the samples of a recording that are marked."""
+    return replace(
+        stream,
+        stamps_ns=stream.stamps_ns[rows],
+        gyro_rad_s=stream.gyro_rad_s[rows],
+        accel_m_s2=stream.accel_m_s2[rows],
     )
 
 
