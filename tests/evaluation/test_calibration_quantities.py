@@ -91,3 +91,29 @@ def test_scale_of_a_path_against_the_truth(step_m: float, factor: float, is_wron
     if found is not None and step_m:
         assert found.value == pytest.approx(100.0 * (factor - 1.0), abs=0.2)
         assert found.sigma < 0.5
+
+
+@pytest.mark.parametrize("every", [2, 3, 7, 20])
+def test_truth_of_some_frames_tells_the_scale(every: int) -> None:
+    true = poses_of(np.arange(200)[:, None] * np.array([0.0, 0.0, 0.5]))
+    noise_m = 1e-3 * np.random.default_rng(1).normal(size=(200, 3))
+    partly = np.full_like(true, np.nan)
+    partly[5::every] = true[5::every]
+    found = scale_quantity(poses_of(2.0 * true[:, :3, 3] + noise_m), partly)
+    assert found is not None
+    assert found.value == pytest.approx(100.0, abs=0.5)
+    assert is_marked(found, 12)
+    partly[20:] = np.nan
+    assert scale_quantity(true, partly) is None
+    assert scale_quantity(true, np.full_like(true, np.nan)) is None
+
+
+def test_a_hole_in_the_truth_is_no_segment() -> None:
+    """Its length would count as much as those of all others together."""
+    true = poses_of(np.arange(200)[:, None] * np.array([0.0, 0.0, 0.5]))
+    estimated = true.copy()
+    estimated[100:, 2, 3] -= 20.0
+    true[60:140] = np.nan
+    found = scale_quantity(estimated, true)
+    assert found is not None
+    assert found.value == pytest.approx(0.0, abs=1e-6)

@@ -30,6 +30,7 @@ from probevo.output.run_warnings import (
     run_warnings,
     scale_warning,
     status_warning,
+    step_length_warning,
     timing_warning,
     truth_warning,
     unsolved_warning,
@@ -130,6 +131,33 @@ def test_only_steps_that_are_ok_are_compared_with_the_truth() -> None:
     steps[:, :3, 3] = 5.0
     assert truth_warning(steps, ALL_OK, ours) is not None
     assert truth_warning(steps, ~ALL_OK, ours) is None
+
+
+@pytest.mark.parametrize(("every", "num_steps"), [(2, 16), (3, 12), (4, 16)])
+def test_truth_of_some_frames_is_compared(every: int, num_steps: int) -> None:
+    def partly(truth: FloatArray) -> FloatArray:
+        known = np.full_like(truth, np.nan)
+        known[1::every] = truth[1::every]
+        return known
+
+    ours = partly(_wandering(1, 0.024))
+    steps = relative_motions(_wandering(1, 0.024))
+    is_ok = np.ones(99, np.bool_)
+    assert truth_warning(steps, is_ok, ours) is None
+    assert step_length_warning(steps, is_ok, ours) is None
+    said = truth_warning(steps, is_ok, partly(_wandering(2, 0.024)))
+    assert said is not None
+    assert said.startswith(f"Motions over {num_steps} steps are off the true ones by")
+    # Motions over a step that is not OK do not count.
+    steps[7, 2, 3] -= 100.0
+    is_ok[7] = False
+    assert truth_warning(steps, is_ok, ours) is None
+    steps[:, :3, 3] *= 2.0
+    said = step_length_warning(steps, is_ok, ours)
+    assert said is not None
+    assert said.startswith("The steps are 2 times as long as the true ones")
+    is_ok[1::every] = False
+    assert step_length_warning(steps, is_ok, ours) is None
 
 
 def _turning(turn_rad: float) -> FloatArray:

@@ -185,24 +185,32 @@ def _focal_quantity(error: FocalLengthError) -> Quantity:
 
 
 def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Quantity | None:
-    """Compare distances with those of the truth, over segments of √N frames.
+    """Compare distances with those of the truth, over segments of √N frames or, where fewer true
+    poses are known, as many more as it takes.
 
     Args:
         T_world_cam: poses, [N, 4, 4], m.
         T_world_cam_true: true ones, [N, 4, 4], m; NaN where unknown.
 
     Returns:
-        The scale; None if too few segments have truth at both ends, or the camera is at rest.
+        The scale; None if the truth gives too few segments, or the camera is at rest.
     """
+    # The first frame with truth at or after each multiple of √N
     ends = np.arange(0, len(T_world_cam), max(int(np.sqrt(len(T_world_cam))), 1))
+    known = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
+    ends = np.unique(known[np.searchsorted(known, ends[ends <= known.max(initial=-1)])])
+    if len(ends) <= MIN_BLOCKS:
+        return None
+    # Without holes in the truth, over which the estimate may drift far
+    starts = ends[:-1][np.diff(ends) <= 2.0 * np.median(np.diff(ends))]
+    ends = ends[np.searchsorted(ends, starts) + 1]
     # Where the camera is at the end of a segment, in its own frame at the start, [M, 3] each
     moved, moved_true = (
-        (se3.inverse(T[ends[:-1]]) @ T[ends[1:]])[:, :3, 3] for T in (T_world_cam, T_world_cam_true)
+        (se3.inverse(T[starts]) @ T[ends])[:, :3, 3] for T in (T_world_cam, T_world_cam_true)
     )
-    known = np.isfinite(moved_true).all(axis=1)
-    estimated = np.linalg.norm(moved[known], axis=1)
-    true = np.linalg.norm(moved_true[known], axis=1)
-    together = float(np.sum(moved[known] * moved_true[known]))
+    estimated = np.linalg.norm(moved, axis=1)
+    true = np.linalg.norm(moved_true, axis=1)
+    together = float(np.sum(moved * moved_true))
     if len(true) < MIN_BLOCKS or not together > 0.0:
         return None
     # Where both are mostly noise, lengths compare the noise. The regressions of each on the other

@@ -10,7 +10,6 @@ from probevo.estimation.motion_estimate import Status
 from probevo.estimation.noise_scale import SCATTER
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
-from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain import domain_warning
@@ -346,8 +345,8 @@ def truth_warning(
 ) -> str | None:
     """Warn if the motions have little to do with the true ones, whatever their scale; else None.
 
-    They are motions over one step, or over as many as it takes to move farther than a coarse truth
-    may be wrong.
+    They are motions between frames whose true poses are known: from one to the next, or over as
+    many as it takes to move farther than a coarse truth may be wrong.
 
     Args:
         T_curr_prev: motions of N-1 steps, [N-1, 4, 4], m.
@@ -356,44 +355,53 @@ def truth_warning(
     """
     if truth is None:
         return None
-    T_world_cam = se3.chain_motions(T_curr_prev)
-    num_steps = 1
+    known = _known_frames(truth)
+    T_world_cam = se3.chain_motions(T_curr_prev)[known]
+    truth = truth[known]
+    apart = 1
     while True:
-        true_m = _displacements(truth, num_steps)
-        is_counted = np.isfinite(true_m).all(axis=1) & _are_all_ok(is_ok, num_steps)
+        is_counted = _are_all_ok(is_ok, known, apart)
         if is_counted.sum() < MIN_FOR_SCALE:
             return None
-        length_m = float(np.median(np.linalg.norm(true_m[is_counted], axis=1)))
+        true_m = _displacements(truth, apart)[is_counted]
+        length_m = float(np.median(np.linalg.norm(true_m, axis=1)))
         if length_m >= MIN_MOTION_M:
             break
-        num_steps *= 2
-    motions_m = _displacements(T_world_cam, num_steps)[is_counted]
-    off_m = _misfit(motions_m, true_m[is_counted])
+        apart *= 2
+    motions_m = _displacements(T_world_cam, apart)[is_counted]
+    off_m = _misfit(motions_m, true_m)
     if off_m <= MAX_MOTION_ERROR * length_m:
         return None
+    num_steps = int(np.median((known[apart:] - known[:-apart])[is_counted]))
     which = "The steps are" if num_steps == 1 else f"Motions over {num_steps} steps are"
     text = (
         f"{which} off the true ones by {off_m:.2g} m in the median, whatever their scale, where a"
         f" true one is {length_m:.2g} m long."
     )
-    inverse_m = _displacements(se3.inverse(truth), num_steps)[is_counted]
+    inverse_m = _displacements(se3.inverse(truth), apart)[is_counted]
     length_m = float(np.median(np.linalg.norm(inverse_m, axis=1)))
     if _misfit(motions_m, inverse_m) <= MAX_MOTION_ERROR * length_m:
         return f"{text} They fit the inverse poses: is the truth T_cam_world, not T_world_cam?"
     return f"{text} Is it the truth of this recording, with poses T_world_cam of the camera?"
 
 
-def _displacements(T_world_cam: FloatArray, num_steps: int) -> FloatArray:
-    """Return the translations of the motions over so many steps, [N - num_steps, 3], m, from each
-    of N poses, [N, 4, 4], on; NaN where either pose is."""
-    T_end_start = se3.inverse(T_world_cam[num_steps:]) @ T_world_cam[:-num_steps]
+def _known_frames(truth: FloatArray) -> IntArray:
+    """Return the places of the frames, of N, whose true poses, [N, 4, 4], are known, [M]."""
+    return np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
+
+
+def _displacements(T_world_cam: FloatArray, apart: int) -> FloatArray:
+    """Return the translations of the motions from each of M poses, [M, 4, 4], to the one that many
+    places further on, [M - apart, 3], m."""
+    T_end_start = se3.inverse(T_world_cam[apart:]) @ T_world_cam[:-apart]
     return T_end_start[:, :3, 3]
 
 
-def _are_all_ok(is_ok: BoolArray, num_steps: int) -> BoolArray:
-    """Return whether so many steps, from each of N-1 on, are all OK, [N - num_steps]."""
-    num_bad = np.concatenate([[0], np.cumsum(~is_ok)])
-    return np.asarray(num_bad[num_steps:] == num_bad[:-num_steps])
+def _are_all_ok(is_ok: BoolArray, frames: IntArray, apart: int) -> BoolArray:
+    """Return whether all steps, of N-1, are OK from each of M frames to the one that many places
+    further on, [M - apart]."""
+    num_bad = np.concatenate([[0], np.cumsum(~is_ok)])[frames]
+    return np.asarray(num_bad[apart:] == num_bad[:-apart])
 
 
 def _misfit(motions_m: FloatArray, true_m: FloatArray) -> float:
@@ -408,7 +416,8 @@ def _misfit(motions_m: FloatArray, true_m: FloatArray) -> float:
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     """Warn if the steps are longer or shorter than the true ones as a whole; else None.
 
-    A wrong baseline causes that, and the covariances do not contain it.
+    A wrong baseline causes that, and the covariances do not contain it. Where some true poses are
+    unknown, the motions between the known ones are compared.
 
     Args:
         result: a run over N frames.
@@ -422,12 +431,12 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
 def step_length_warning(T_curr_prev: FloatArray, is_ok: BoolArray, truth: FloatArray) -> str | None:
     """Warn if N-1 steps, [N-1, 4, 4], of which some are OK, [N-1], are longer or shorter than the
     true ones as a whole; else None."""
-    true_m = relative_motions(truth)[:, :3, 3]
-    is_known = np.isfinite(true_m).all(axis=1) & is_ok
-    if is_known.sum() < MIN_FOR_SCALE:
+    known = _known_frames(truth)
+    is_counted = _are_all_ok(is_ok, known, 1)
+    if is_counted.sum() < MIN_FOR_SCALE:
         return None
-    true_m = true_m[is_known]
-    steps_m = T_curr_prev[is_known, :3, 3]
+    true_m = _displacements(truth[known], 1)[is_counted]
+    steps_m = _displacements(se3.chain_motions(T_curr_prev)[known], 1)[is_counted]
     # Noise in what is projected on makes a projection too short: that of the steps where the truth
     # is noisy, as it is beside a camera at rest, and that of the truth where the steps are. The
     # scale is between the one and the inverse of the other.
