@@ -66,10 +66,22 @@ class SpoilConfig(Settings):
     )
     seed: int = Field(0, ge=0, description="Seed of bursts, places, and noise.")
     severity: float = Field(
-        0.5, gt=0, le=1, description="From 0, which is nothing, to 1, which is a bad day."
+        0.5,
+        gt=0,
+        le=1,
+        description=(
+            "From 0, which is nothing, to 1, which is a bad day. A frame is lost or not: with"
+            " preset frames, the severity scales how many are; with mixed, it does not matter to"
+            " them."
+        ),
     )
     clean: float = Field(
-        0.2, ge=0, le=1, description="Share of the frames that are left as they are."
+        0.2,
+        ge=0,
+        le=1,
+        description=(
+            "Share of the frames that are left as they are; with preset frames, that at severity 1."
+        ),
     )
     burst_frames: float = Field(
         6.0, ge=1, le=1000, description="Mean length of a burst, frames; its length is geometric."
@@ -147,14 +159,11 @@ class StressConfig(Settings):
 
     def spoiling(self, preset: StressPreset, severity: float, seed: int) -> SpoilConfig:
         """Return how a recording is spoiled for one of the runs."""
-        clean = self.clean
-        if preset == "frames":  # a frame is lost or not: more severe is more often
-            clean = 1.0 - severity * (1.0 - self.clean)
         return SpoilConfig(
             preset=preset,
             seed=seed,
             severity=severity,
-            clean=clean,
+            clean=self.clean,
             burst_frames=self.burst_frames,
             clean_start_frames=CLEAN_START_FRAMES,
         )

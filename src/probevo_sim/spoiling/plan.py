@@ -51,10 +51,13 @@ def plan_frames(config: SpoilConfig, count: int) -> list[FramePlan]:
     share of clean frames that the settings ask for. They begin after the clean frames at the start.
     """
     effects = PRESETS[config.preset]
-    if not effects or config.clean >= 1.0:
+    clean = config.clean
+    if config.preset == "frames":  # a frame is lost or not: more severe is more often
+        clean = 1.0 - config.severity * (1.0 - config.clean)
+    if not effects or clean >= 1.0:
         return [FramePlan()] * count
     rng = np.random.default_rng([config.seed, _PLAN_KEY])
-    clean_frames = config.burst_frames * config.clean / (1.0 - config.clean)
+    clean_frames = config.burst_frames * clean / (1.0 - clean)
     plans = [FramePlan()] * config.clean_start_frames
     burst = 0
     while len(plans) < count:

@@ -34,6 +34,13 @@ def test_amounts_grow_with_the_severity() -> None:
         assert max(amounts) <= severity
 
 
+@pytest.mark.parametrize(("severity", "share"), [(1.0, 0.2), (0.5, 0.6), (0.25, 0.8), (1e-17, 1.0)])
+def test_more_severe_is_more_frames_lost(severity: float, share: float) -> None:
+    plans = plan_frames(SpoilConfig(preset="frames", clean=0.2, severity=severity), COUNT)
+    clean = sum(plan.effect is None for plan in plans)
+    assert clean / COUNT == pytest.approx(share, abs=0.03)
+
+
 def test_the_first_frame_is_clean_and_places_in_a_burst_are_counted() -> None:
     plans = plan_frames(SpoilConfig(clean=0.0), 100)
     assert plans[0].effect is None
