@@ -137,6 +137,19 @@ def kind_of_file(path: Path) -> SensorKind:
     return SENSOR_KINDS[name]
 
 
+def recordings_of_file(path: Path) -> frozenset[str]:
+    """Return the names of the recordings that the training of a sensor has seen.
+
+    Those left out count, too: they stopped the training and calibrated the sensor.
+
+    Raises:
+        InputError: it cannot be read, or the extra ``nets`` is not installed.
+    """
+    resolve(_REQUIRE)("--sensor")
+    facts = resolve(_READ_FACTS)(path)
+    return frozenset((*facts.get("learned_from", ()), *facts.get("left_out", ())))
+
+
 def trainer_of_sensor(kind: SensorKind) -> Callable[..., Any]:
     """Return the function that learns a sensor from recordings.
 

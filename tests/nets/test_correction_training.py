@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -227,7 +228,13 @@ def test_train_run_inspect_and_compare(
     assert "RMS error along x, y, z" in capsys.readouterr().out
     words = ["--noise", "student-t", "--sensor", str(out), "--out", str(tmp_path / "compared")]
     assert main(["compare", str(walls[2]), *words]) == 0
-    assert "student-t + correction" in capsys.readouterr().out
+    # The one left out has calibrated it. Under a name that it has not seen, nothing is marked.
+    assert "student-t + correction †" in capsys.readouterr().out
+    unseen = shutil.copytree(walls[2], tmp_path / "unseen")
+    assert main(["compare", str(unseen), *words]) == 0
+    shown = capsys.readouterr().out
+    assert "student-t + correction" in shown
+    assert "†" not in shown
 
 
 def test_the_ablations_of_the_thesis(

@@ -182,13 +182,16 @@ def test_train_run_and_compare_with_the_sensor(
     shown = capsys.readouterr().out
     assert f"Measurements: {PAIRS}" in shown
     assert "Kept: the network after " in shown
+    assert "Learned: from a recording of this name" in shown
     assert main(["inspect", "--model", str(out), "--out", str(seen)]) == 2
     assert "a sensor is inspected on a recording" in capsys.readouterr().err
 
     compared = tmp_path / "compared"
     words = ["--noise", "student-t", "--sensor", str(out), "--out", str(compared)]
     assert main(["compare", str(walls[0]), *words]) == 0
-    assert "student-t + rotation" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert re.search(r"^ +student-t \+ rotation † ", shown, re.MULTILINE)
+    assert re.search(r"^ +student-t  ", shown, re.MULTILINE)
 
 
 def test_errors_are_those_of_left_perturbations(model: Path) -> None:

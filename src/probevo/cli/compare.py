@@ -91,7 +91,7 @@ class Job:
     out: Path
     """Folder for its files."""
     learned_from_it: bool
-    """Whether the noise model was learned from a recording of this name."""
+    """Whether the noise model or a sensor was learned from a recording of this name."""
 
 
 def main(words: list[str]) -> None:
@@ -211,11 +211,17 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     from probevo.noise.origin import learned_from
     from probevo.output.comparison.comparison import numbered
     from probevo.run_checks import check_run
-    from probevo.sensor_kinds import load_sensors
+    from probevo.sensor_kinds import load_sensors, recordings_of_file
     from probevo.storage.files import name_as_text
 
     models = {
         estimator.name: noise_model(estimator.noise, others=(AGGRESSIVE,))
+        for estimator in estimators
+    }
+    seen = {
+        estimator.name: learned_from(models[estimator.name]).union(
+            *map(recordings_of_file, estimator.sensors)
+        )
         for estimator in estimators
     }
     pairs = [(recording, estimator) for recording in recordings for estimator in estimators]
@@ -223,20 +229,19 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     jobs = []
     for (recording, estimator), folder in zip(pairs, folders, strict=True):
         path = recording.sequence.path.resolve()
-        model = models[estimator.name]
         config = run_config(estimator.settings, path, portable(estimator.noise))
         if estimator.sensors:
             load_sensors(estimator.sensors, recording.sequence)
             absolute = tuple(sensor.resolve() for sensor in estimator.sensors)
             config = config.model_copy(update={"sensor": absolute})
-        check_run(recording.sequence, config, model)
+        check_run(recording.sequence, config, models[estimator.name])
         jobs.append(
             Job(
                 recording,
                 estimator,
                 config,
                 out=out / "runs" / folder,
-                learned_from_it=name_as_text(path) in learned_from(model),
+                learned_from_it=name_as_text(path) in seen[estimator.name],
             )
         )
     return jobs

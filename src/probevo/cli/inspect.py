@@ -15,7 +15,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings
-from probevo.sensor_kinds import is_sensor_file, kind_of_file, resolve
+from probevo.sensor_kinds import is_sensor_file, kind_of_file, recordings_of_file, resolve
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
@@ -101,6 +101,7 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
         raise InputError("--frame and --predictors", what, "Leave them out.")
     from probevo.output.inspection.sensor import write_sensor_inspection
     from probevo.sequences import open_sequence
+    from probevo.storage.files import name_as_text
     from probevo.storage.lock import locked
 
     reading = checked(arguments.reading)
@@ -108,7 +109,13 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
     recording = sequence.path.resolve().name
     with locked(arguments.out):
         errors = resolve(kind_of_file(model).errors)(model, sequence)
-        lines = write_sensor_inspection(arguments.out, model.name, recording, errors=errors)
+        lines = write_sensor_inspection(
+            arguments.out,
+            model.name,
+            recording,
+            errors=errors,
+            learned_from_it=name_as_text(sequence.path.resolve()) in recordings_of_file(model),
+        )
     print("\n".join(lines))
 
 

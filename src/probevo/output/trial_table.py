@@ -112,7 +112,7 @@ def trial_table(comparison: Comparison) -> TrialTable:
 
 
 def _seen_note(comparison: Comparison) -> tuple[str, ...]:
-    """Name the runs whose noise model has seen the recording in training."""
+    """Name the runs whose noise model or sensor has seen the recording in training."""
     seen = [
         f"{entry.estimator} from {entry.sequence}"
         for entry in comparison.entries

@@ -46,6 +46,7 @@ def test_the_page_and_the_terminal_say_the_same(tmp_path: Path) -> None:
     for text in ("What turn measures", "7 of 4,000 widened", "1 is consistent"):
         assert text in page
     assert "Kept" not in page
+    assert "Learned" not in page
     assert "7 of 4,000 widened" in "\n".join(lines)
     assert "Silent: 3 more inputs" in "\n".join(lines)
     (mean,) = [line for line in lines if "mean" in line]
@@ -58,6 +59,14 @@ def test_it_says_which_epoch_was_kept(tmp_path: Path) -> None:
     lines = write_sensor_inspection(tmp_path, "turn", "drive", errors=errors)
     assert "Kept: the network after 3 epochs, the last" in lines
     assert "the network after 3 epochs, the last" in (tmp_path / "inspection.html").read_text()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_it_says_that_the_sensor_has_seen_the_recording(tmp_path: Path) -> None:
+    errors = errors_of(1.0)
+    lines = write_sensor_inspection(tmp_path, "turn", "drive", errors=errors, learned_from_it=True)
+    assert "Learned: from a recording of this name, and so this is no test of it" in lines
+    assert "from a recording of this name" in (tmp_path / "inspection.html").read_text()
 
 
 @pytest.mark.usefixtures("undrawn")

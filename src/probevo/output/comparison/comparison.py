@@ -61,8 +61,9 @@ class Entry:
     config: RunConfig | None = None
     """All settings of this run."""
     learned_from_it: bool = False
-    """Whether the noise model was trained on a recording of this name: its figures then say little
-    of other recordings."""
+    """Whether the noise model or a sensor was trained or calibrated on a recording of this name.
+
+    Its figures then say little of other recordings."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:

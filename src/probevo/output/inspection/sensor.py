@@ -25,7 +25,7 @@ BINS = 5
 
 
 def write_sensor_inspection(
-    out: Path, name: str, recording: str, *, errors: SensorErrors
+    out: Path, name: str, recording: str, *, errors: SensorErrors, learned_from_it: bool = False
 ) -> list[str]:
     """Write the page ``inspection.html``; return the lines to print.
 
@@ -34,6 +34,7 @@ def write_sensor_inspection(
         name: of the sensor's file.
         recording: name of the recording.
         errors: of the sensor on it.
+        learned_from_it: whether the sensor was trained or calibrated on a recording of this name.
 
     Raises:
         InputError: the file cannot be written.
@@ -52,6 +53,8 @@ def write_sensor_inspection(
     }
     if errors.kept:
         facts["Kept"] = errors.kept
+    if learned_from_it:
+        facts["Learned"] = "from a recording of this name, and so this is no test of it"
     table = text_table(("region", "errors within"), rows)
     with figure_style():
         panels = [panel("Calibration", "Consistent is on the grey line.", _calibration(covered))]
