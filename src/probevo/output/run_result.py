@@ -53,6 +53,9 @@ out of domain stand for None."""
 STEPS_WITHOUT_IMU = "steps_without_imu"
 """Name of the steps without an IMU in ``RunResult.unusable``; with the fault behind it, of those
 that it caused."""
+STEPS_WITHOUT_IMU_BY_FAULT = tuple(f"{STEPS_WITHOUT_IMU}_{fault.value}" for fault in ImuFault)
+"""Names of the steps without an IMU by the fault that caused them: what they sum up to is counted
+as ``STEPS_WITHOUT_IMU``, too."""
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
 

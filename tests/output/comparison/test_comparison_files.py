@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from probevo.estimation.motion_estimate import Status
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
+from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.comparison.comparison_files import (
     document,
@@ -20,7 +21,7 @@ from probevo.output.comparison.comparison_files import (
     write_csv,
 )
 from probevo.output.files import write_json
-from probevo.output.run_result import RunResult
+from probevo.output.run_result import RunRecorder, RunResult
 from probevo.run_config import RunConfig
 
 
@@ -83,6 +84,25 @@ def test_the_share_out_of_domain_needs_no_truth(
     assert [flat_record(each)["out_of_domain"] for each in entries] == [0.25, 0.25]
     runs: Any = document(entries, tmp_path)["runs"]
     assert [run["out_of_domain"] for run in runs] == [0.25, 0.25]
+
+
+def test_a_step_without_an_imu_is_one_fault(make_run: Callable[..., RunResult]) -> None:
+    """It is counted by its cause, too."""
+    recorder = RunRecorder()
+    faults = [None, ImuFault.HOLE, ImuFault.GATED, ImuFault.HOLE, None]
+    for frame, fault in enumerate(faults):
+        motion = MotionEstimate(
+            np.eye(4),
+            np.eye(6),
+            Status.OK if frame else Status.FIRST,
+            num_tracks=9,
+            imu_reason=None if fault is None else ImuReason(fault, "…"),
+        )
+        recorder.add(100 * frame, motion, imu_is_in_window=True)
+    result = recorder.result()
+    assert sum(result.faults.values()) == 6
+    without_imu = replace(entry(make_run(5), truth=False), result=result)
+    assert flat_record(without_imu)["faults"] == 3
 
 
 def test_every_status_has_a_column(make_run: Callable[..., RunResult]) -> None:

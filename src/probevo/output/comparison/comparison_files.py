@@ -14,6 +14,7 @@ from probevo import __version__
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
 from probevo.output.comparison.comparison import Comparison, Entry
+from probevo.output.run_result import STEPS_WITHOUT_IMU_BY_FAULT
 from probevo.output.table import records_table
 from probevo.storage.files import write_atomically
 
@@ -28,14 +29,19 @@ def flat_record(entry: Entry) -> dict[str, object]:
     """Describe a run by the cells of one line: names, number of steps by status, time, metrics.
 
     Metrics have the names of ``metrics.json``; its ``nees_coverage`` has a column for each
-    percentage, its ``smoothed`` one for each error, and of ``faults`` there is only the sum. None
-    where unknown.
+    percentage, its ``smoothed`` one for each error, and of ``faults`` there is only the sum, in
+    which a step without an IMU counts once. None where unknown.
     """
     values: dict[str, object] = {field.name: None for field in fields(Metrics)}
     if entry.metrics is not None:
         values |= entry.metrics.as_dict()
     values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
-    values["faults"] = sum(entry.result.faults.values())  # of all kinds; it needs no truth either
+    # Of all kinds, but not by cause what is counted already. They need no truth either.
+    values["faults"] = sum(
+        count
+        for name, count in entry.result.faults.items()
+        if name not in STEPS_WITHOUT_IMU_BY_FAULT
+    )
     del values["nees_coverage"]
     del values["smoothed"]
     coverage = (entry.metrics and entry.metrics.nees_coverage) or {}
