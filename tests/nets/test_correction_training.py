@@ -214,7 +214,10 @@ def test_train_run_inspect_and_compare(
     out = tmp_path / "correction.safetensors"
     words = [*map(str, walls), "--kind", "correction", *FLAGS, "--out", str(out)]
     assert main(["train", *words]) == 0
-    assert re.search(r"linear regression +\d", capsys.readouterr().out)
+    shown = capsys.readouterr().out
+    assert re.search(r"linear regression +\d", shown)
+    following = f"next: probevo run SEQUENCE --sensor {out} --estimator two-frame --out DIR"
+    assert shown.splitlines()[-1] == following
     assert out.read_bytes() == model.read_bytes()
 
     run = tmp_path / "run"

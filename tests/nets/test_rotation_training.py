@@ -165,6 +165,7 @@ def test_train_run_and_compare_with_the_sensor(
     shown = capsys.readouterr().out
     assert "left out:     other" in shown
     assert "kept:         the network after " in shown
+    assert shown.splitlines()[-1] == f"next: probevo run SEQUENCE --sensor {out} --out DIR"
     assert out.read_bytes() == model.read_bytes()
 
     run = tmp_path / "run"

@@ -135,7 +135,10 @@ def train_sensor_with_progress(
             f"What was done is kept in {out}.work; the same command continues from there."
         )
         raise
-    return [*lines, "", f"sensor: {out}", f"next: probevo run SEQUENCE --sensor {out} --out DIR"]
+    # What was learned from the steps of an estimator is for the steps of the same.
+    estimator = f"--estimator {settings.odometry.estimator} " if "odometry" in further else ""
+    following = f"next: probevo run SEQUENCE --sensor {out} {estimator}--out DIR"
+    return [*lines, "", f"sensor: {out}", following]
 
 
 def train_with_progress(
