@@ -181,7 +181,7 @@ def test_settings_hold_for_all_runs_but_aggressive_has_its_own_confidence(
     world: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "settings.yaml").write_text(
-        "noise: nonsense\nsequence: nowhere\nmax_frames: 9\nseed: 5\n"
+        "noise: nonsense\nsequence: nowhere\nsensor: [none]\nmax_frames: 9\nseed: 5\n"
     )
     words = ["--config", tmp_path / "settings.yaml", "--max-frames", 4, "--ransac.confidence", 0.95]
     noise = ["--noise", "fixed", "aggressive"]

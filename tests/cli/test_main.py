@@ -55,6 +55,16 @@ def test_help_of_a_command_needs_neither_scipy_nor_opencv_nor_an_extra() -> None
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("command", ["compare", "stress"])
+def test_the_help_says_what_of_a_config_is_ignored(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "whose recording, noise model and learned sensors are ignored" in shown
+
+
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
 def test_blas_gets_one_thread_unless_set_otherwise(
     given: str | None, expected: str, monkeypatch: pytest.MonkeyPatch

@@ -31,8 +31,8 @@ class CompareArguments:
 
     Writes comparison.html with tables and figures, comparison.csv and .json with all metrics,
     table.tex in the form of PROBE Table I, and runs/ with the files of each run. The settings are
-    the same for all runs. Flags override the file given by --config, whose recording and noise
-    model are ignored, and that overrides the defaults.
+    the same for all runs. Flags override the file given by --config, whose recording, noise model
+    and learned sensors are ignored, and that overrides the defaults.
     """
 
     sequences: Annotated[

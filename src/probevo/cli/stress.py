@@ -30,7 +30,7 @@ class StressArguments:
     The run on the clean images is the reference, so that no truth is needed. Writes stress.html and
     stress.png with the error and the claimed σ of a step against the severity, metrics.json, and
     runs/, from which an interrupted command goes on. Flags override the file given by --config,
-    whose recording and noise model are ignored, and that overrides the defaults.
+    whose recording, noise model and learned sensors are ignored, and that overrides the defaults.
     """
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
