@@ -9,13 +9,16 @@ cases.
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from probevo.arrays import FloatArray
+from probevo.evaluation import paired_test
 from probevo.evaluation.autoregression import series_of
 from probevo.evaluation.metrics import evaluate
 from probevo.evaluation.paired_test import (
@@ -23,6 +26,7 @@ from probevo.evaluation.paired_test import (
     MIN_STEPS,
     exchanged_differences,
     paired_differences,
+    random_signs,
 )
 from probevo.geometry import se3
 
@@ -157,6 +161,39 @@ def test_exchanges_that_give_the_very_difference_of_the_runs_count() -> None:
         assert difference.margin == abs(difference.error_a - difference.error_b)
 
 
+@pytest.mark.parametrize("steps_at_once", [1, 7 * 40])
+def test_the_result_does_not_depend_on_how_many_draws_are_computed_together(
+    steps_at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One draw at once, or seven."""
+    rng = np.random.default_rng(8)
+    T = true_motions(40)
+    a = noisy(T, rng)
+    b = noisy(T, rng)
+    truth = se3.chain_motions(T)
+    expected = paired_differences(a, b, truth, np.random.default_rng(0), draws=99)
+    monkeypatch.setattr(paired_test, "_STEPS_AT_ONCE", steps_at_once)
+    found = paired_differences(a, b, truth, np.random.default_rng(0), draws=99)
+    for name, difference in found.items():
+        assert astuple(difference) == pytest.approx(astuple(expected[name]), rel=1e-12)
+
+
+def test_many_steps_need_little_memory() -> None:
+    """Paths of fifty draws at once needed 0.18 MB a frame."""
+    rng = np.random.default_rng(9)
+    T = true_motions(5000)
+    a = noisy(T, rng)
+    b = noisy(T, rng)
+    truth = se3.chain_motions(T)
+    tracemalloc.start()
+    try:
+        paired_differences(a, b, truth, rng, draws=50)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 0.1e6 * len(T)
+
+
 def test_too_few_steps_or_true_poses_give_nothing() -> None:
     T = true_motions(MIN_STEPS - 1)
     rng = np.random.default_rng(0)
@@ -170,7 +207,7 @@ def test_too_few_steps_or_true_poses_give_nothing() -> None:
 def test_without_correlation_each_difference_keeps_its_size_and_half_of_all_their_signs() -> None:
     rng = np.random.default_rng(2)
     difference = independent(300, rng)
-    drawn = exchanged_differences(difference, [np.ones(1)] * 6, 400, rng)
+    drawn = exchanged_differences(difference, [np.ones(1)] * 6, random_signs(400, 300, rng))
     np.testing.assert_allclose(np.abs(drawn), np.tile(np.abs(difference), (400, 1, 1)), rtol=1e-12)
     sign = drawn / difference
     assert np.ptp(sign, axis=2).max() < 1e-12  # all axes of a step at once
@@ -188,7 +225,7 @@ def test_the_sum_of_exchanged_differences_has_the_variance_of_the_model(
     rng = np.random.default_rng(4)
     model = np.array([1.0, coefficient])
     difference = series_of(model, rng.normal(size=(6, 2000))).T
-    drawn = exchanged_differences(difference, [model] * 6, 400, rng)
+    drawn = exchanged_differences(difference, [model] * 6, random_signs(400, 2000, rng))
     variance = np.mean(drawn.sum(axis=1) ** 2)
     # Six sums over some 160 blocks of 13 innovations scatter by a tenth.
     assert variance == pytest.approx(2000.0 / (1.0 + coefficient) ** 2, rel=0.3)

@@ -21,7 +21,7 @@ the estimator, although it may be another one on the next recording: there is on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +35,11 @@ ERRORS = ("armse_m", "final_error_m", "short_t_percent", "short_r_deg_per_m")
 """Errors that are compared, by their names in ``Metrics``."""
 DRAWS = 999
 """Number of random exchanges; a p-value is then a multiple of 1/1000."""
-_DRAWS_AT_ONCE = 50
-"""Draws that are computed together: what limits the memory."""
+_SIGNS_AT_ONCE = 50
+"""Draws whose signs are drawn together."""
+_STEPS_AT_ONCE = 100_000
+"""Steps of all draws that are computed together, but for one draw of more: what limits the memory.
+"""
 _ROUNDING = 1e-9
 """A difference of two errors below this, relative to these, is rounding."""
 MIN_STEPS = 25
@@ -115,9 +118,8 @@ def paired_differences(
     middle = se3.exp(-0.5 * difference) @ motions_a
     models = [fit_autoregression(values) for values in difference.T]
     drawn: dict[str, list[FloatArray]] = {name: [] for name in errors_a}
-    for start in range(0, draws, _DRAWS_AT_ONCE):
-        count = min(_DRAWS_AT_ONCE, draws - start)
-        half = se3.exp(0.5 * exchanged_differences(difference, models, count, rng))
+    for signs in _all_signs(draws, len(difference), rng):
+        half = se3.exp(0.5 * exchanged_differences(difference, models, signs))
         drawn_a = truth.errors(_path(half @ middle))
         drawn_b = truth.errors(_path(se3.inverse(half) @ middle))
         for name, differences in drawn.items():
@@ -153,30 +155,41 @@ def _compared(
     )
 
 
-def exchanged_differences(
-    difference: FloatArray,
-    models: Sequence[FloatArray],
-    count: int,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Draw differences of motions after exchanges of their innovations, [count, K, 6].
+def _all_signs(draws: int, steps: int, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Draw the signs of all draws, in batches of as many as are computed together, [R, K].
 
-    Args:
-        difference: of the motions of A and B at K steps, left tangent vectors, [K, 6], m and rad.
-        models: coefficients of the autoregression of each of its columns.
-        count: number of draws.
-        rng: what draws: whether the innovations of a step are exchanged, all six at once, so that
-            the correlation of the axes remains.
+    They do not depend on the size of the batches.
     """
-    steps = len(difference)
+    at_once = max(1, _STEPS_AT_ONCE // steps)
+    for start in range(0, draws, _SIGNS_AT_ONCE):
+        signs = random_signs(min(_SIGNS_AT_ONCE, draws - start), steps, rng)
+        for first in range(0, len(signs), at_once):
+            yield signs[first : first + at_once]
+
+
+def random_signs(count: int, steps: int, rng: np.random.Generator) -> FloatArray:
+    """Draw which innovations are exchanged, [count, steps]: −1 where they are, and 1 elsewhere."""
     # Blocks of geometric length (Politis and Romano 1994), whose mean is of the best order for a
     # variance, the cube root of the number of steps (Künsch 1989).
     begins = rng.random((count, steps)) < steps ** (-1.0 / 3.0)
     begins[:, 0] = True
     number = np.cumsum(begins, axis=1) - 1
     of_block = rng.choice([-1.0, 1.0], size=(count, steps))
-    signs = np.take_along_axis(of_block, number, axis=1)
-    drawn = np.empty((count, *difference.shape))
+    return np.take_along_axis(of_block, number, axis=1)
+
+
+def exchanged_differences(
+    difference: FloatArray, models: Sequence[FloatArray], signs: FloatArray
+) -> FloatArray:
+    """Compute differences of motions after exchanges of their innovations, [R, K, 6].
+
+    Args:
+        difference: of the motions of A and B at K steps, left tangent vectors, [K, 6], m and rad.
+        models: coefficients of the autoregression of each of its columns.
+        signs: of the innovations of each step after each of R exchanges, [R, K]: all six at once,
+            so that the correlation of the axes remains.
+    """
+    drawn = np.empty((len(signs), *difference.shape))
     for axis, coefficients in enumerate(models):
         of_steps = innovations(coefficients, difference[:, axis])
         drawn[..., axis] = series_of(coefficients, signs * of_steps)
