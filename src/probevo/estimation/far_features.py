@@ -2,7 +2,7 @@
 
 The columns of the Jacobian for the translation are proportional to the disparity d. An error of
 variance σ² adds to their square, E[d̂²] = d² + σ², so that features at infinity seem to show that
-the camera does not move. Two frames subtract σ² (``StereoObservations.information``). The window,
+the camera does not move. Two frames subtract σ² (``measurements.stereo_observations``). The window,
 which estimates all disparities, does not: where little but σ² is left, its features count by the
 rotation of two frames instead.
 """
@@ -29,7 +29,7 @@ MIN_SIGNAL = 0.5
 """Share of the information on the translation that has to be signal for a window to use it. At one
 half, the window's standard deviation of the translation is too small by a factor of √2."""
 MIN_DISPARITY_PX = 1e-9
-"""Disparity from which on the columns of the translation are divided by it."""
+"""Disparity below which a feature counts as one at infinity."""
 
 
 def translation_signal(

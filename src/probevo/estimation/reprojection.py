@@ -87,7 +87,7 @@ class ReprojectionSolution:
     inverse is not the covariance."""
     full_information: FloatArray
     """Fisher information on ξ, [6, 6], or on (ξ, η) with the jitter, [12, 12], without the bias
-    that noise of the disparities adds to it. ``cov`` is its inverse, or that of a part of it."""
+    that noise of the disparities adds to it. ``cov`` is the block of ξ of its inverse."""
     information: FloatArray
     """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
     cross_cov: FloatArray

@@ -16,8 +16,9 @@ MAX_UNSEEN = 0.25
 HOLE = 3.0
 """A gap is longer than this many sample periods."""
 PERIOD_MEMORY = 0.9
-"""Weight of the usual sample period against that of one interval, in the mean of their logarithms:
-a dropout of half a second hardly changes it, and another rate is the usual one after ten frames."""
+"""Weight of the usual sample period against that of one interval, in the mean of their logarithms.
+At ten frames a second, no interval of a dropout of half a second is taken to be covered, and
+samples at a tenth of the rate are after ten frames."""
 _NO_BIAS = np.zeros(3)
 
 
