@@ -465,9 +465,9 @@ def soak_live(
         held = [newest, waiting]
         if odometry.state is not None:
             held.append(odometry.state.frame.left)
-            usable = odometry.state.last_usable
-            if usable is not None:
-                held.append(usable.state.frame.left)
+            outage = odometry.state.outage
+            if outage is not None and outage.lasts:
+                held.append(outage.before.frame.left)
         if frame.left is not None and any(frame.left is image for image in held):
             # The recording has turned where a frame was lost or failed: an image that the odometry
             # still holds, or that came last, is rightly refused.

@@ -177,7 +177,7 @@ def fused(network: SunNetwork, views: list[SunViews], order: int, *, has_sun: bo
             covariance = correlated * found.covariance[k]
             measured = Direction(pose, found.directions[k], known, covariance)
             reading = Reading("sun", (measured,) if has_sun else ())
-            fusion, _ = fusion.updated([reading], pose, NorthConfig(), of_motion={})
+            fusion, _ = fusion.updated([reading], pose, NorthConfig(), motion_innovations={})
             C_world_cam = fusion.pose.T_world_cam[:3, :3]
             heading = np.arctan2(C_world_cam[0, 2], C_world_cam[2, 2])
             rows.append([heading, np.sqrt(fusion.pose.cov[4, 4])])

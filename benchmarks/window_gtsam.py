@@ -68,7 +68,7 @@ def by_window(frames: list[dict[int, np.ndarray]]) -> Window:
         )
         noise = model.predict(np.zeros((len(ids), 0)))
         two_frames = RelativePose(STEP, 0.01 * np.eye(6), pose_of(index), pose_of(index - 1))
-        window = estimator.with_features(window, tracks, noise, two_frames=two_frames)
+        window = estimator.add_observed_frame(window, tracks, noise, motion=two_frames)
     for _ in range(ADJUSTMENTS):
         window = estimator.adjustment.adjusted(window)
     return window

@@ -216,7 +216,7 @@ def mounted_off(frames: list[Frame], imu: ImuCalibration) -> tuple[list[Frame], 
     return frames, replace(imu, T_cam_imu=T)
 
 
-def with_samples(change: Callable[[ImuSamples], ImuSamples]) -> Change:
+def preintegrate_samples(change: Callable[[ImuSamples], ImuSamples]) -> Change:
     """Return a fault of all samples of the recording, which are cut into frames again."""
 
     def changed(frames: list[Frame], imu: ImuCalibration) -> tuple[list[Frame], ImuCalibration]:
@@ -275,13 +275,13 @@ def every_97th(value: float) -> Callable[[ImuSamples], ImuSamples]:
 
 FAULTS: dict[str, Change] = {
     "mounting off by 10°": mounted_off,
-    "stamps off by 50 ms": with_samples(late),
-    "gyro in °/s": with_samples(in_degrees),
-    "spike of 1 rad/s": with_samples(spike_of(1.0)),
-    "spike of 5 rad/s": with_samples(spike_of(5.0)),
-    "spike of 1,000 rad/s": with_samples(spike_of(1000.0)),
-    "NaN": with_samples(every_97th(np.nan)),
-    "1e308": with_samples(every_97th(1e308)),
+    "stamps off by 50 ms": preintegrate_samples(late),
+    "gyro in °/s": preintegrate_samples(in_degrees),
+    "spike of 1 rad/s": preintegrate_samples(spike_of(1.0)),
+    "spike of 5 rad/s": preintegrate_samples(spike_of(5.0)),
+    "spike of 1,000 rad/s": preintegrate_samples(spike_of(1000.0)),
+    "NaN": preintegrate_samples(every_97th(np.nan)),
+    "1e308": preintegrate_samples(every_97th(1e308)),
 }
 
 

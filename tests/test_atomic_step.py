@@ -302,9 +302,7 @@ STAGES = {
     "sensor tests": Stage("probevo.estimation.sensor_fusion", "motion_innovations"),
     "sensor fusion": Stage("probevo.estimation.sensor_fusion:SensorFusion", "updated"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
-    "window's new frame": Stage(
-        "probevo.estimation.window.estimator:WindowEstimator", "with_frame"
-    ),
+    "window's new frame": Stage("probevo.estimation.window.estimator:WindowEstimator", "extend"),
     "window's adjustment": Stage(
         "probevo.estimation.window.adjustment:WindowAdjustment", "adjusted"
     ),

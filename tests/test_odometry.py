@@ -17,7 +17,7 @@ from intervals import chi2_interval
 from probevo.arrays import FloatArray, Image
 from probevo.config import GyroConfig, SolverConfig, TrackingConfig
 from probevo.errors import InputError
-from probevo.estimation.recovery import DeadReckonedPath, Gap
+from probevo.estimation.recovery import DeadReckonedPath, OutageVelocity
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import Metrics, evaluate
@@ -32,7 +32,7 @@ from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.missing_data import Defect, MissingData
-from probevo.state import LastUsable, Unconnected
+from probevo.state import Outage
 from probevo.tracking import preparation
 from probevo.tracking.preparation import high_pass
 from worlds import (
@@ -728,17 +728,17 @@ def test_images_that_overwrite_those_to_be_connected_give_these_up(
     state = odometry.state
     assert state is not None
     # As if frame 4 had been dead-reckoned, and features of frame 3 not found in it.
-    usable = LastUsable(replace(state, frame=frames[3]), DeadReckonedPath.none())
-    gap = Gap(0.1, mean_twist=np.zeros(6), sigma=np.ones(6), T_curr_end=np.eye(4))
-    odometry._state = replace(state, unconnected=Unconnected(usable, gap))
+    velocity = OutageVelocity(0.1, mean_twist=np.zeros(6), sigma=np.ones(6), T_curr_end=np.eye(4))
+    before = replace(state, frame=frames[3])
+    odometry._state = replace(state, outage=Outage(before, DeadReckonedPath.none(), velocity))
     found = []
-    with_step = WindowEstimator.with_step
+    window_step = WindowEstimator.step
 
     def spy(*values: Any, reacquired: Any, **keywords: Any) -> Any:
         found.append(reacquired is not None)
-        return with_step(*values, reacquired=reacquired, **keywords)
+        return window_step(*values, reacquired=reacquired, **keywords)
 
-    monkeypatch.setattr(WindowEstimator, "with_step", spy)
+    monkeypatch.setattr(WindowEstimator, "step", spy)
     images = frames[3] if is_overwritten else frames[5]
     odometry.step(replace(frames[5], left=images.left, right=images.right))
     assert found == [not is_overwritten]

@@ -18,7 +18,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.frozen_images import are_frozen, may_be_frozen
+from probevo.estimation.frozen_images import Repetition, repetition_of
 from probevo.estimation.landmarks import Landmarks, triangulated
 from probevo.estimation.motion_correction import (
     CovarianceIntersection,
@@ -28,7 +28,7 @@ from probevo.estimation.motion_correction import (
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
-from probevo.estimation.sensor_fusion import solve_innovations
+from probevo.estimation.sensor_fusion import SensorFusion, solve_innovations
 from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.estimation.window.estimator import WindowEstimator
@@ -38,7 +38,7 @@ from probevo.estimation.window.window import Window
 from probevo.measurements.base import Measurement
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias
-from probevo.measurements.sensor import Sensor
+from probevo.measurements.sensor import Reading, Sensor
 from probevo.measurements.sensor_suite import SensorSuite
 from probevo.measurements.variables import pose_of
 from probevo.noise import NoiseModel
@@ -54,7 +54,6 @@ from probevo.python_arguments import (
     as_sensors,
 )
 from probevo.sequences.frame import Frame
-from probevo.sequences.frame_checks import check_memory, share_memory
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
@@ -129,11 +128,7 @@ class StereoOdometry:
         if state is None:
             self._state = self._first_state(frame)
             return MotionEstimate.first(missing)
-        if state.last_usable is not None:
-            check_memory(state.last_usable.state.frame, frame)
-        unconnected = state.unconnected
-        if unconnected is not None and share_memory(unconnected.usable.state.frame, frame):
-            state = replace(state, unconnected=None)  # its images are no more
+        state = state.without_overwritten_images(frame)
         clock = StageClock(decode=frame.decode_ms)
         prediction = predict(state, frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
@@ -172,7 +167,7 @@ class StereoOdometry:
         return self._features.tracks_of_vehicle
 
     @property
-    def T_of_images(self) -> FloatArray:
+    def T_curr_prev_before_window(self) -> FloatArray:
         """The motion of the two-frame solve, [4, 4], m: before the window adjusts it, and before
         corrections; the dead-reckoned one if there is no accepted solve.
 
@@ -266,10 +261,10 @@ class StereoOdometry:
         state = prediction.state
         frame = prediction.frame
         model = state.motion_model
-        is_frozen = are_frozen(
+        repetition = repetition_of(
             state.frame, frame, model, prediction.motion, were_frozen=state.is_frozen
         )
-        if is_frozen:
+        if repetition is Repetition.FROZEN:
             # The camera moves but its images do not change. Tracking them would measure a motion of
             # zero with great confidence, so there are no tracks.
             tracked = Tracked.all_lost(state.tracking)
@@ -288,22 +283,17 @@ class StereoOdometry:
                 camera=self.camera,
                 config=self.config,
             )
-        is_ambiguous = not is_frozen and may_be_frozen(state.frame, frame, model)
         clock.lap("track")
         # A second search in the same images, from the last usable frame, finds them prepared.
         prediction = replace(prediction, frame=frame)
-        return self._with_predictors(
-            prediction, tracked, clock, is_frozen=is_frozen, may_be_frozen=is_ambiguous
-        )
+        return self._describe(prediction, tracked, clock, repetition)
 
-    def _with_predictors(
+    def _describe(
         self,
         prediction: Prediction,
         tracked: Tracked,
         clock: StageClock,
-        *,
-        is_frozen: bool,
-        may_be_frozen: bool,
+        repetition: Repetition,
     ) -> Observed:
         """Correct the tracks of the scene for the rig, and compute their predictors."""
         state = prediction.state
@@ -326,14 +316,7 @@ class StereoOdometry:
             )
         )
         clock.lap("predict")
-        return Observed(
-            prediction,
-            tracked,
-            corrected,
-            phi,
-            is_frozen=is_frozen,
-            may_be_frozen=may_be_frozen,
-        )
+        return Observed(prediction, tracked, corrected, phi, repetition)
 
     def _without_vehicle(self, observed: Observed, solved: Solved, clock: StageClock) -> Observed:
         """Return what is observed without features that are fixed to the vehicle, if a solve may
@@ -352,13 +335,8 @@ class StereoOdometry:
         clock.lap("consensus")
         if not len(fixed_ids):
             return observed
-        return self._with_predictors(
-            prediction,
-            observed.tracked.with_fixed(fixed_ids),
-            clock,
-            is_frozen=observed.is_frozen,
-            may_be_frozen=observed.may_be_frozen,
-        )
+        scene = observed.tracked.with_fixed(fixed_ids)
+        return self._describe(prediction, scene, clock, observed.repetition)
 
     def _measure(self, prediction: Prediction, observed: Observed, clock: StageClock) -> Measured:
         """Collect the measurements of the gyro and of all sensors that are not excluded.
@@ -375,15 +353,15 @@ class StereoOdometry:
         if observed.is_frozen:
             frame = replace(frame, left=None, right=None, prepared=None)
         readings = self._suite.read(prev_frame, frame, is_excluded=state.fusion.is_excluded)
-        by_gyro: list[Measurement] = []
+        gyro_measurements: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:
-            by_gyro.append(prediction.rotation)
+            gyro_measurements.append(prediction.rotation)
         motion_measurements: list[Measurement] = []
         for reading in readings:
-            motion_measurements += reading.of_motion(pose_of(frame.index))
+            motion_measurements += reading.motion_measurements(pose_of(frame.index))
         if self.sensors:
             clock.lap("sensors")
-        return Measured(by_gyro, motion_measurements, readings)
+        return Measured(gyro_measurements, motion_measurements, readings)
 
     def _solve_or_recover(
         self, observed: Observed, measured: Measured, clock: StageClock
@@ -393,18 +371,18 @@ class StereoOdometry:
         If the tracks are lost right after dead-reckoned steps, search for the features of the last
         usable frame instead (``estimation.recovery``); for a window, also where they are not.
         """
-        others = [*measured.by_gyro, *measured.motion_measurements]
+        others = [*measured.gyro_measurements, *measured.motion_measurements]
         solved = self._solve(observed, others, clock)
         # Without features of the vehicle, if they make the camera seem to be at rest
-        of_scene = self._without_vehicle(observed, solved, clock)
-        if of_scene is not observed:
-            observed = of_scene
+        without_vehicle = self._without_vehicle(observed, solved, clock)
+        if without_vehicle is not observed:
+            observed = without_vehicle
             solved = self._solve(observed, others, clock)
         # Recovery, where the features are lost. A window connects the last usable frame also with
         # one that is solved from the previous frame.
         state = observed.prediction.state
         is_solved = solved.visual.status is Status.OK
-        is_lost = solved.is_lost and state.last_usable is not None
+        is_lost = solved.is_lost and state.is_dead_reckoned
         if not (is_lost or (is_solved and state.window is not None)):
             return solved
         recovered = self._solve_from_last_usable(observed.prediction, clock)
@@ -412,10 +390,12 @@ class StereoOdometry:
             return solved
         if not is_solved:
             return recovered
-        # Both velocities are known now, before the gap and after it.
-        gap = state.gap_before(observed.prediction.duration_s, solved.calibrated.accepted())
+        # Both velocities are known now, before the outage and after it.
+        velocity = state.outage_velocity(
+            observed.prediction.duration_s, solved.calibrated.accepted()
+        )
         across = recovered.visual.accepted_solution
-        if gap is None or gap.contradicts(across.T_curr_prev, across.cov):
+        if velocity is None or velocity.contradicts(across.T_curr_prev, across.cov):
             return solved
         return replace(solved, reacquired=recovered.tracks_for_window)
 
@@ -468,31 +448,25 @@ class StereoOdometry:
             The estimate, and the state after the step.
         """
         state = prediction.state
-        frame = prediction.frame
-        pose = pose_of(frame.index)
         # The motion of the two-frame solve, or else dead-reckoned; gyro bias, rig, motion model,
         # disparities.
-        two_frame, updated = self._accept_or_dead_reckon(prediction, solved)
+        step_motion, updated = self._accept_or_dead_reckon(prediction, solved)
         clock.lap("learn")
-        readings = measured.readings
-        # What the sensors measured. The two-frame estimator has no solve in a dead-reckoned step
-        # that their measurements of the motion could enter; a window always has one.
-        if not solved.is_step_solved and prediction.window is None:
-            readings = [reading.without_motion(pose) for reading in readings]
-        corrected, readings = with_correction(
-            two_frame, readings, self._suite, prev_frame=state.frame, frame=frame
-        )
+        corrected, readings = self._correct(prediction, solved, step_motion, measured)
         if self.sensors:
             clock.lap("sensors")
         # The pose: from the window, or by compounding the motion.
         window = None
-        if prediction.window is not None:
+        if prediction.window is None:
+            motion = solved.from_previous_frame(corrected)
+            fusion = state.fusion.after(motion)
+        else:
             # A corrected motion and the features are from the same images. Inflate both, so that
             # the window does not count the images twice.
             intersection = None
             if any(reading.corrects and reading.measurements for reading in readings):
                 intersection = covariance_intersection(
-                    two_frame, corrected, self.config.window.frames
+                    step_motion, corrected, self.config.window.frames
                 )
             window = self._adjust(
                 prediction.window, solved, corrected, intersection=intersection, measured=measured
@@ -506,34 +480,10 @@ class StereoOdometry:
                 updated = replace(updated, motion_model=model)
             fusion = state.fusion.after(motion, live_pose(window))
             clock.lap("window")
-        else:
-            motion = corrected
-            if solved.recovery is not None:  # from the last usable frame: make it a step
-                motion = solved.recovery.path.closed(corrected)
-            fusion = state.fusion.after(motion)
-        # Measurements of the pose correct it, and each sensor is tested.
         outcomes: tuple[SensorOutcome, ...] = ()
         if readings:
-            solution = solved.visual.accepted_solution if solved.is_step_solved else None
-            # A recovered motion is not that of the step, and was solved without the sensors.
-            reckoned = two_frame if solved.recovery is None else None
-            fusion, outcomes = fusion.updated(
-                readings,
-                pose,
-                self.config.north,
-                of_motion=solve_innovations(
-                    readings,
-                    pose,
-                    solution,
-                    common_mode=solved.calibrated.of_images.columns,
-                    reckoned=reckoned,
-                ),
-            )
+            fusion, outcomes = self._fuse(fusion, readings, solved, step_motion)
             clock.lap("sensors")
-        # The estimate and the state. The features keep the motion of the two-frame solve.
-        T_of_images = two_frame.T_curr_prev
-        if solved.recovery is not None:
-            T_of_images = solved.recovery.path.closed(two_frame).T_curr_prev
         estimate = replace(
             motion,
             # Copies: the caller may write to them.
@@ -546,19 +496,66 @@ class StereoOdometry:
         )
         after = replace(
             updated,
-            frame=frame,
+            frame=prediction.frame,
             observations=state.observations.with_frame(solved.observations),
             fusion=fusion,
-            features=solved.features(T_of_images),
+            # The features keep the motion of the two-frame solve.
+            features=solved.features(solved.from_previous_frame(step_motion).T_curr_prev),
             is_frozen=solved.observed.is_frozen,
             gyro_period_ns=prediction.gyro_period_ns,
             window=window,
-            last_usable=state.last_usable_after(prediction.duration_s, two_frame),
-            unconnected=state.unconnected_after(
-                prediction.duration_s, two_frame, is_connected=self._is_connected(solved, window)
+            outage=state.outage_after(
+                prediction.duration_s,
+                step_motion,
+                is_connected=self._is_connected(solved, window),
             ),
         )
         return estimate, after
+
+    def _correct(
+        self,
+        prediction: Prediction,
+        solved: Solved,
+        step_motion: MotionEstimate,
+        measured: Measured,
+    ) -> tuple[MotionEstimate, list[Reading]]:
+        """Apply the sensor that corrects the motion, if there is one.
+
+        Returns:
+            The motion, corrected if it was; and the readings that apply to the step.
+        """
+        readings = measured.readings
+        # The two-frame estimator has no solve in a dead-reckoned step that the sensors'
+        # measurements of the motion could enter; a window always has one.
+        if not solved.is_step_solved and prediction.window is None:
+            pose = pose_of(prediction.frame.index)
+            readings = [reading.without_motion(pose) for reading in readings]
+        return with_correction(
+            step_motion,
+            readings,
+            self._suite,
+            prev_frame=prediction.state.frame,
+            frame=prediction.frame,
+        )
+
+    def _fuse(
+        self,
+        fusion: SensorFusion,
+        readings: Sequence[Reading],
+        solved: Solved,
+        step_motion: MotionEstimate,
+    ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
+        """Correct the pose by the sensors' measurements of it, and test each sensor."""
+        pose = pose_of(solved.prediction.frame.index)
+        innovations = solve_innovations(
+            readings,
+            pose,
+            solved.visual.accepted_solution if solved.is_step_solved else None,
+            common_mode=solved.calibrated.image_common_mode.columns,
+            # A recovered motion is not that of the step, and was solved without the sensors.
+            reckoned=step_motion if solved.recovery is None else None,
+        )
+        return fusion.updated(readings, pose, self.config.north, motion_innovations=innovations)
 
     def _is_connected(self, solved: Solved, window: Window | None) -> bool:
         """Return whether the window has taken the features of the last usable frame that were found
@@ -620,7 +617,7 @@ class StereoOdometry:
             )
         else:
             noise_scale = state.noise_scale.after(visual.estimated_noise_factor)
-            if solved.observed.may_be_frozen:
+            if solved.observed.repetition is Repetition.AMBIGUOUS:
                 model = state.motion_model.after_repetition(duration_s)
             else:
                 model = state.motion_model.after_solve(duration_s, motion.T_curr_prev, motion.cov)
@@ -641,7 +638,7 @@ class StereoOdometry:
         self,
         window: Window,
         solved: Solved,
-        corrected: MotionEstimate,
+        step_motion: MotionEstimate,
         *,
         intersection: CovarianceIntersection | None,
         measured: Measured,
@@ -651,7 +648,7 @@ class StereoOdometry:
         Args:
             window: the window before the step.
             solved: the two-frame solve.
-            corrected: the motion of that solve, or else dead-reckoned; corrected, if there is a
+            step_motion: the motion of that solve, or else dead-reckoned; corrected, if there is a
                 correction.
             intersection: how features and corrected motion share the information of their images;
                 None without a correction.
@@ -662,15 +659,15 @@ class StereoOdometry:
         # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
         # dead-reckoned motion, whose rotation is the gyro's.
         if not window.inertial.has_measured and solved.is_step_solved:
-            measurements += measured.by_gyro
+            measurements += measured.gyro_measurements
         # What tracks do not show of a step, the velocity before may.
         velocity = None
         if solved.visual.status is not Status.OK:
             velocity = velocity_for_window(window, prediction)
-        return self._window_estimator.with_step(
+        return self._window_estimator.step(
             window,
             solved.tracks_for_window,
-            motion_for_window(window, prediction, corrected),
+            motion_for_window(window, prediction, step_motion),
             velocity=velocity,
             intersection=intersection,
             measurements=measurements,

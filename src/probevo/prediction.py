@@ -10,7 +10,7 @@ from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.recovery import MAX_DURATION_S, Recovery, noise_factor
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.window.inertial import Inertial
-from probevo.estimation.window.inertial_steps import with_samples
+from probevo.estimation.window.inertial_steps import preintegrate_samples
 from probevo.estimation.window.window import Window
 from probevo.measurements.constant_velocity import ConstantVelocity
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro, period_after
@@ -73,29 +73,29 @@ class Prediction:
             None if the previous frame is usable itself, if the last usable one is too long ago, or
             if a window with an IMU bridges the frames between.
         """
-        usable = self.state.to_reconnect
+        outage = self.state.outage
         window = self.state.window
-        if usable is None or Inertial.of(window).may_bridge:
+        if outage is None or Inertial.of(window).may_bridge:
             return None
-        if window is not None and usable.state.frame.index not in window.frames:
+        if window is not None and outage.before.frame.index not in window.frames:
             return None
-        duration_s = usable.path.duration_s + self.duration_s
+        duration_s = outage.path.duration_s + self.duration_s
         if duration_s > MAX_DURATION_S:
             return None
         # The features are those of the usable frame; the motion is the path since then and the step
         # predicted. The gyro was integrated over that step only, and does not apply.
         model = self.state.motion_model
         # Identities that the frames between have given to new features are not given again.
-        tracking = replace(usable.state.tracking, next_id=self.state.tracking.next_id)
+        tracking = replace(outage.before.tracking, next_id=self.state.tracking.next_id)
         prediction = replace(
             self,
-            state=replace(usable.state, tracking=tracking),
+            state=replace(outage.before, tracking=tracking),
             duration_s=duration_s,
-            motion=usable.path.predicted(self.motion, model.path_sensitivity),
+            motion=outage.path.predicted(self.motion, model.path_sensitivity),
             gyro=None,
             rotation=None,
         )
-        return prediction, Recovery(usable.path, noise_factor(model.frames_of(duration_s)))
+        return prediction, Recovery(outage.path, noise_factor(model.frames_of(duration_s)))
 
 
 def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> Prediction:
@@ -115,7 +115,7 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
     # The window preintegrates the IMU itself; the gyro below predicts only the rotation.
     window = state.window
     if window is not None:
-        window = with_samples(window, state.frame, frame)
+        window = preintegrate_samples(window, state.frame, frame)
     # Integrate the gyro, if its samples cover the interval.
     gyro = None
     bias = None
@@ -139,9 +139,12 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
     motion = state.motion_model.predict(duration_s, None)
     if rotation is not None:
         # The rotation is the gyro's, the translation that of the last velocity.
-        of_gyro = state.motion_model.predict(duration_s, rotation, bias_sensitivity)
+        gyro_prediction = state.motion_model.predict(duration_s, rotation, bias_sensitivity)
         motion = _with_alternative(
-            state.motion_model, of_velocity=motion, of_gyro=of_gyro, window=window
+            state.motion_model,
+            velocity_prediction=motion,
+            gyro_prediction=gyro_prediction,
+            window=window,
         )
     return Prediction(
         state=state,
@@ -159,8 +162,8 @@ def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> P
 def _with_alternative(
     model: MotionModel,
     *,
-    of_velocity: MotionPrediction,
-    of_gyro: MotionPrediction,
+    velocity_prediction: MotionPrediction,
+    gyro_prediction: MotionPrediction,
     window: Window | None,
 ) -> MotionPrediction:
     """Return the prediction of a step that has a gyro; the gate accepts what agrees with it, or
@@ -168,24 +171,26 @@ def _with_alternative(
 
     Args:
         model: the motion model before the step.
-        of_velocity: by the last velocity alone.
-        of_gyro: with the rotation of the gyro.
+        velocity_prediction: by the last velocity alone.
+        gyro_prediction: with the rotation of the gyro.
         window: the window, which may have tested the gyro.
     """
     inertial = Inertial.of(window)
     if inertial.is_used:
         # It has passed its tests, and would see a sudden turn.
-        return replace(of_gyro, alternative=replace(of_velocity, sudden_turn_rad=0.0))
+        return replace(
+            gyro_prediction, alternative=replace(velocity_prediction, sudden_turn_rad=0.0)
+        )
     if inertial.trusts_gyro:
         # Nothing can test it. Where the velocity has been given up, since it contradicted solve
         # after solve, it may have been the gyro that was wrong.
         gives_up = model.speed_is_unknown
-        return replace(of_gyro, alternative=of_velocity if gives_up else None)
+        return replace(gyro_prediction, alternative=velocity_prediction if gives_up else None)
     if inertial.may_bridge:
         # It has not been tested yet.
-        return replace(of_velocity, alternative=of_gyro)
+        return replace(velocity_prediction, alternative=gyro_prediction)
     # It has failed a test.
-    return of_velocity
+    return velocity_prediction
 
 
 def motion_for_window(
@@ -205,13 +210,12 @@ def motion_for_window(
     """
     curr = pose_of(prediction.frame.index)
     # None if the motion was solved: a solved one is measured from where it starts.
-    usable = prediction.state.last_usable_after(prediction.duration_s, motion)
-    has_usable = usable is not None and usable.state.frame.index in window.frames
-    if usable is not None and has_usable and not window.inertial.predicts_next:
-        path = usable.path
-        return RelativePose(
-            path.T_prev_usable, path.cov, curr=curr, prev=pose_of(usable.state.frame.index)
-        )
+    outage = prediction.state.dead_reckoned_after(prediction.duration_s, motion)
+    if outage is not None and not window.inertial.predicts_next:
+        usable = outage.before.frame.index
+        if usable in window.frames:
+            path = outage.path
+            return RelativePose(path.T_prev_usable, path.cov, curr=curr, prev=pose_of(usable))
     return RelativePose(
         motion.T_curr_prev, motion.cov, curr=curr, prev=pose_of(prediction.state.frame.index)
     )

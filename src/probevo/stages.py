@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from probevo.arrays import FloatArray
-from probevo.estimation.motion_estimate import Status
+from probevo.estimation.frozen_images import Repetition
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.recovery import STATUSES_WITHOUT_FEATURES, Recovery
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.visual_motion import VisualMotion
@@ -33,16 +34,19 @@ class Observed:
     """The N tracks of the scene, corrected by the rig's calibration."""
     phi: FloatArray
     """The predictors of these tracks, [N, M]."""
-    is_frozen: bool
-    """Whether the images do not change although the camera moves; then there are no tracks."""
-    may_be_frozen: bool
-    """Whether the images repeat, so that the camera either rests or moves unseen."""
+    repetition: Repetition
+    """Whether the images repeat those of the previous frame; if they are frozen, there are no
+    tracks."""
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the images do not change although the camera moves."""
+        return self.repetition is Repetition.FROZEN
 
     @property
     def missing(self) -> tuple[MissingData, ...]:
         """What tracking has found that the frame lacks."""
-        repeats = self.is_frozen or self.may_be_frozen
-        if repeats and not shows_nothing(self.prediction.frame):
+        if self.repetition is not Repetition.NONE and not shows_nothing(self.prediction.frame):
             return (MissingData(Defect.REPEATED_IMAGES, 1, 1),)
         return ()
 
@@ -51,7 +55,7 @@ class Observed:
 class Measured:
     """The measurements of the gyro and of the user's sensors."""
 
-    by_gyro: list[Measurement]
+    gyro_measurements: list[Measurement]
     """The gyro's rotation, which enters the solve; only with ``gyro.prior``."""
     motion_measurements: list[Measurement]
     """The sensors' measurements of the motion, which enter the solve, too."""
@@ -105,6 +109,11 @@ class Solved:
     def is_step_solved(self) -> bool:
         """Whether the motion from the previous frame to this one was solved from images."""
         return self.visual.status is Status.OK and self.recovery is None
+
+    def from_previous_frame(self, motion: MotionEstimate) -> MotionEstimate:
+        """Return the motion from the previous frame, given the motion that was solved, which after
+        a recovery is that from the last usable frame."""
+        return motion if self.recovery is None else self.recovery.path.closed(motion)
 
     def features(self, T_curr_prev: FloatArray) -> StepFeatures:
         """Return the tracks with predictors and weights, given the motion of the step, [4, 4]."""

@@ -15,12 +15,13 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.noise_scale import NoiseScale
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.recovery import MAX_DURATION_S, DeadReckonedPath, Gap
+from probevo.estimation.recovery import MAX_DURATION_S, DeadReckonedPath, OutageVelocity
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.window import Window
 from probevo.measurements.gyro import GyroBias
 from probevo.sequences.frame import Frame
+from probevo.sequences.frame_checks import check_memory, share_memory
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking import TrackingState, Tracks
 from probevo.tracking.last_residuals import LastResiduals
@@ -57,22 +58,21 @@ class StepFeatures:
 
 
 @dataclass(frozen=True)
-class LastUsable:
-    """The last frame whose motion was solved from images; those after it are dead-reckoned."""
+class Outage:
+    """Dead-reckoned steps, whose motion is better known once the features of the last usable frame
+    before them are found again (``estimation.recovery``)."""
 
-    state: OdometryState
-    """The state after that frame."""
+    before: OdometryState
+    """The state after the last usable frame."""
     path: DeadReckonedPath
     """The motion from that frame to the last one."""
+    velocity: OutageVelocity | None = None
+    """The mean velocity meanwhile, once a later step is solved; None while the outage lasts."""
 
-
-@dataclass(frozen=True)
-class Unconnected:
-    """A usable frame before dead-reckoned steps that no feature connects with the frames after them
-    yet."""
-
-    usable: LastUsable
-    gap: Gap
+    @property
+    def lasts(self) -> bool:
+        """Whether the last step was dead-reckoned, too."""
+        return self.velocity is None
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,11 @@ class OdometryState:
     """Whether the images of the last frame did not change although the camera moved."""
     window: Window | None
     """The last frames and their landmarks; None for the two-frame estimator."""
-    last_usable: LastUsable | None = None
-    """The frame from which the path is dead-reckoned; None if the motion to the last frame was
-    solved from images."""
     gyro_period_ns: float | None = None
     """Usual time between samples of the gyro, ns; None before the first."""
-    unconnected: Unconnected | None = None
-    """The last usable frame before steps that were dead-reckoned, though the last one was solved,
-    until features connect it with a frame after them; None without a window."""
+    outage: Outage | None = None
+    """Dead-reckoned steps up to the last frame, or with a window also earlier ones, until features
+    connect the frame before them with one after them; None if there are none."""
 
     @staticmethod
     def at_first_frame(
@@ -159,61 +156,74 @@ class OdometryState:
         """Pose of the camera in the world."""
         return self.fusion.pose
 
-    def last_usable_after(self, duration_s: float, motion: MotionEstimate) -> LastUsable | None:
-        """Return where dead reckoning starts after the next motion; None if that was solved."""
+    @property
+    def is_dead_reckoned(self) -> bool:
+        """Whether the motion to the last frame was not solved from images."""
+        return self.outage is not None and self.outage.lasts
+
+    def dead_reckoned_after(self, duration_s: float, motion: MotionEstimate) -> Outage | None:
+        """Return the outage that lasts after the next motion; None if that was solved."""
         if motion.status in (Status.OK, Status.RECOVERED):
             return None
-        usable = self.last_usable or LastUsable(
-            replace(self, unconnected=None), DeadReckonedPath.none()
-        )
-        return replace(usable, path=usable.path.advanced(duration_s, motion))
+        outage = self.outage
+        if outage is None or not outage.lasts:
+            # It begins with this step.
+            outage = Outage(replace(self, outage=None), DeadReckonedPath.none())
+        return replace(outage, path=outage.path.advanced(duration_s, motion))
 
-    def gap_before(self, duration_s: float, motion: MotionEstimate) -> Gap | None:
-        """Return the gap between the usable frame that is not connected yet and a solved step.
+    def outage_after(
+        self, duration_s: float, motion: MotionEstimate, *, is_connected: bool
+    ) -> Outage | None:
+        """Return the outage after the next motion; None if it does not last, and there is nothing
+        to connect.
+
+        Args:
+            duration_s: time of that motion.
+            motion: the motion.
+            is_connected: whether the window has features of the last usable frame in it.
+        """
+        if motion.status is not Status.OK:
+            return self.dead_reckoned_after(duration_s, motion)
+        velocity = self.outage_velocity(duration_s, motion)
+        if self.outage is None or velocity is None or is_connected:
+            return None
+        path = self.outage.path.advanced(duration_s, motion)
+        if path.duration_s > MAX_DURATION_S:
+            return None
+        return replace(self.outage, path=path, velocity=velocity)
+
+    def outage_velocity(self, duration_s: float, motion: MotionEstimate) -> OutageVelocity | None:
+        """Return the mean velocity during the outage, given a solved step after it.
 
         Args:
             duration_s: time of that step.
             motion: the step.
 
         Returns:
-            None if all frames are connected, and without a window.
+            None without an outage, and without a window.
         """
-        if self.window is None:
+        outage = self.outage
+        if self.window is None or outage is None:
             return None
-        if self.last_usable is not None:
-            before = self.last_usable.state.motion_model
-            return Gap.between(self.last_usable.path, before, motion, duration_s)
-        if self.unconnected is not None:
-            return self.unconnected.gap.advanced(motion.T_curr_prev)
-        return None
+        if outage.velocity is not None:
+            return outage.velocity.advanced(motion.T_curr_prev)
+        return OutageVelocity.between(outage.path, outage.before.motion_model, motion, duration_s)
 
-    def unconnected_after(
-        self, duration_s: float, motion: MotionEstimate, *, is_connected: bool
-    ) -> Unconnected | None:
-        """Return the usable frame that is still to be connected after the next motion.
+    def without_overwritten_images(self, frame: Frame) -> OdometryState:
+        """Return the state without an outage whose last usable frame has its images in the memory
+        of the next frame's, as where a driver uses a few buffers in turn.
 
-        Args:
-            duration_s: time of that motion.
-            motion: the motion.
-            is_connected: whether it has found features of that frame.
+        Raises:
+            InputError: the outage lasts, so that its last usable frame is needed.
         """
-        if motion.status is not Status.OK or is_connected:
-            return None
-        usable = self.to_reconnect
-        gap = self.gap_before(duration_s, motion)
-        if usable is None or gap is None:
-            return None
-        path = usable.path.advanced(duration_s, motion)
-        if path.duration_s > MAX_DURATION_S:
-            return None
-        return Unconnected(replace(usable, path=path), gap)
-
-    @property
-    def to_reconnect(self) -> LastUsable | None:
-        """The frame whose features are to be found again; None if all frames are connected."""
-        if self.last_usable is None and self.unconnected is not None:
-            return self.unconnected.usable
-        return self.last_usable
+        if self.outage is None:
+            return self
+        usable = self.outage.before.frame
+        if self.outage.lasts:
+            check_memory(usable, frame)
+        elif share_memory(usable, frame):
+            return replace(self, outage=None)
+        return self
 
 
 def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConfig) -> Window:

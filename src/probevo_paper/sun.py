@@ -172,7 +172,9 @@ def fused_path(drive: SunDrive, sensor: SunSensor | None) -> SunPath:
         fusion = fusion.after(motion)
         if sensor is not None and excluded_at is None:
             reading = read_sensor(sensor.name, sensor, prev_frame, frame)
-            fusion, _ = fusion.updated([reading], pose_of(frame.index), NorthConfig(), of_motion={})
+            fusion, _ = fusion.updated(
+                [reading], pose_of(frame.index), NorthConfig(), motion_innovations={}
+            )
             excluded_at = frame.index if fusion.is_excluded(sensor.name) else None
         poses.append(fusion.pose)
     return SunPath(

@@ -7,7 +7,7 @@ import pytest
 
 from probevo.arrays import FloatArray, Image
 from probevo.config import MotionModelConfig
-from probevo.estimation.frozen_images import are_frozen, may_be_frozen
+from probevo.estimation.frozen_images import Repetition, repetition_of
 from probevo.estimation.motion_model import MotionModel
 from probevo.sequences.frame import Frame
 from worlds import FORWARD, FRAME_NS, START_NS
@@ -58,8 +58,9 @@ def test_repeated_images_of_a_moving_camera_are_frozen(
 ) -> None:
     model = MotionModel.at_start(MotionModelConfig()).after_solve(0.1, T_last, 1e-6 * np.eye(6))
     prev_frame, frame = frames_of(IMAGE, image)
-    found = are_frozen(prev_frame, frame, model, model.predict(0.1, None), were_frozen=were_frozen)
-    assert found is expected
+    prediction = model.predict(0.1, None)
+    repetition = repetition_of(prev_frame, frame, model, prediction, were_frozen=were_frozen)
+    assert (repetition is Repetition.FROZEN) is expected
 
 
 @pytest.mark.parametrize(
@@ -79,9 +80,11 @@ def test_repeated_images_of_a_moving_camera_are_frozen(
         "others",
     ],
 )
-def test_repeated_images_of_a_camera_at_rest_may_be_frozen(
+def test_repeated_images_of_a_camera_at_rest_are_ambiguous(
     image: Image, rejections: int, *, is_after_repetition: bool, expected: bool
 ) -> None:
     rest = MotionModel.at_start(MotionModelConfig()).after_solve(0.1, np.eye(4), 1e-6 * np.eye(6))
     model = replace(rest, rejections=rejections, is_after_repetition=is_after_repetition)
-    assert may_be_frozen(*frames_of(IMAGE, image), model) is expected
+    prediction = model.predict(0.1, None)
+    repetition = repetition_of(*frames_of(IMAGE, image), model, prediction, were_frozen=False)
+    assert repetition is (Repetition.AMBIGUOUS if expected else Repetition.NONE)

@@ -64,9 +64,9 @@ def test_equal_motions_count_half_each_and_a_contradicted_one_counts_nothing() -
 
 def test_features_that_two_frames_distrust_are_inflated_more() -> None:
     weights = np.array([1.0, 0.5, 0.0])
-    factors = CovarianceIntersection(features=5.0, motion=2.0).of_features(weights)
+    factors = CovarianceIntersection(features=5.0, motion=2.0).feature_factors(weights)
     np.testing.assert_allclose(factors, [5.0, 9.0, 1.0 + 4.0 / MIN_WEIGHT])
-    np.testing.assert_array_equal(CovarianceIntersection(1.0, 1.0).of_features(weights), 1.0)
+    np.testing.assert_array_equal(CovarianceIntersection(1.0, 1.0).feature_factors(weights), 1.0)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -74,13 +74,13 @@ def test_the_shares_are_consistent_whatever_the_cross_covariance(seed: int) -> N
     """What is claimed of the combination is no smaller than its covariance."""
     rng = np.random.default_rng(seed)
     joint = random_cov(rng, 12)
-    of_images = joint[:6, :6]
+    image_cov = joint[:6, :6]
     of_motion = joint[6:, 6:]
     shares = covariance_intersection(
-        motion_of(FORWARD, of_images), motion_of(FORWARD, of_motion), 10
+        motion_of(FORWARD, image_cov), motion_of(FORWARD, of_motion), 10
     )
     assert 1.0 / shares.features + 1.0 / shares.motion == pytest.approx(1.0)
-    information = np.linalg.inv(shares.features * of_images)
+    information = np.linalg.inv(shares.features * image_cov)
     claimed = np.linalg.inv(information + np.linalg.inv(shares.motion * of_motion))
     gain = np.hstack([claimed @ information, np.eye(6) - claimed @ information])
     assert np.linalg.eigvalsh(claimed - gain @ joint @ gain.T).min() > -1e-9
@@ -218,7 +218,7 @@ def test_where_the_features_fix_no_motion_the_corrected_one_counts_once() -> Non
     frame = int(window.frames[-1]) + 1
     cov = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
     motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
-    after = by.without_features(window, frame, motion, [motion], motion_is_measured=True)
+    after = by.add_unobserved_frame(window, frame, motion, [motion], motion_is_measured=True)
     _, found = after.relative(len(after) - 1, len(after) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
 
@@ -232,7 +232,7 @@ def test_a_corrected_motion_that_stands_for_the_features_counts_in_full() -> Non
     motion = RelativePose(FORWARD, cov, curr=pose_of(frame), prev=pose_of(frame - 1))
     none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
     # The pose before is not connected with it either, so that the adjustment fixes no motion.
-    after = by.with_features(window, Tracks.none(), none, two_frames=motion, motion_factor=1e9)
+    after = by.add_observed_frame(window, Tracks.none(), none, motion=motion, motion_factor=1e9)
     _, found = after.relative(len(after) - 1, len(after) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-3, atol=1e-10)
 

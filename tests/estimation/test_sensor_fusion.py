@@ -98,7 +98,7 @@ def fuse(
     for index, step in enumerate(steps, start=1):
         fusion = fusion.after(step)
         readings = [sensor.read(index) for sensor in sensors]
-        fusion, outcome = fusion.updated(readings, pose_of(index), north, of_motion={})
+        fusion, outcome = fusion.updated(readings, pose_of(index), north, motion_innovations={})
         states.append(fusion)
         outcomes.append(outcome)
     return states, outcomes

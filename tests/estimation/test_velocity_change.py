@@ -147,7 +147,7 @@ def test_eliminating_leaves_what_the_joint_covariance_says() -> None:
     equations = JointEquations(
         hessian=joint[:6, :6],
         cross=-joint[:6, 6:],
-        of_others=joint[6:, 6:],
+        other_hessian=joint[6:, 6:],
         gradient=gradient[:6],
         others_gradient=gradient[6:],
     )

@@ -191,7 +191,7 @@ def test_a_window_learns_from_the_motions_of_two_frames_and_is_corrected(
     of_path = []
     for frame in sequence:
         of_path.append(se3.log(odometry.step(frame).T_curr_prev))
-        of_images.append(se3.log(odometry.T_of_images))
+        of_images.append(se3.log(odometry.T_curr_prev_before_window))
     np.testing.assert_array_equal(motions, of_images[1:])
     assert np.abs(motions - of_path[1:]).max() > 1e-5
 

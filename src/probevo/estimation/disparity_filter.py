@@ -316,12 +316,12 @@ class _JointPosterior:
         """Return how z moves the predictions of all features, its mean and its covariance."""
         # M = H U of the tracks in the filter: d moves the whole prediction, δ its u_r alone.
         rows = prior.states.rows
-        of_common = np.zeros((len(self.linearized.jacobian), 4, COMMON))
-        of_common[rows] = (
+        common_jacobian = np.zeros((len(self.linearized.jacobian), 4, COMMON))
+        common_jacobian[rows] = (
             self.linearized.disparity_jacobian[rows, :, None] * self.common[:, None, 0]
         )
-        of_common[rows, 2] -= self.common[:, 1]
-        jacobian = np.concatenate([self.linearized.jacobian, of_common], axis=2)
+        common_jacobian[rows, 2] -= self.common[:, 1]
+        jacobian = np.concatenate([self.linearized.jacobian, common_jacobian], axis=2)
         return CommonErrors(jacobian, self.mean, self.root @ self.root.T)
 
 
@@ -523,8 +523,8 @@ def _updated_states(
     if posterior is not None:
         common[prior.states.rows] = posterior.common
     if solution.jitter is not None:
-        by_prev_jitter = solution.jitter.unknown.effects.sensitivity[:, 2:]
-        common = np.concatenate([by_prev_jitter, common], axis=2)
+        prev_jitter_sensitivity = solution.jitter.unknown.effects.sensitivity[:, 2:]
+        common = np.concatenate([prev_jitter_sensitivity, common], axis=2)
     states = PosteriorStates(
         mean=np.empty((len(chosen), 2)),
         cov=np.empty((len(chosen), 2, 2)),
@@ -593,17 +593,17 @@ def _split_errors(
     errors = posterior.errors
     root = posterior.root
     # The jitter of the current frame is the previous one of the next step, and therefore kept.
-    of_jitter = np.zeros((errors.size, 0))
+    jitter_rows = np.zeros((errors.size, 0))
     jitter = None
     if solution.jitter is not None:
         # ω' = L' η'.
         curr_root = solution.jitter.unknown.curr_root
-        of_jitter, jitter = _jitter_after(
+        jitter_rows, jitter = _jitter_after(
             solution.jitter.curr_rad + curr_root @ posterior.mean[errors.curr_jitter],
             curr_root @ root[errors.curr_jitter],
         )
     sensitivity, directions = _strongest_directions(
-        states.sensitivity, root, cov=states.cov, chosen=of_jitter
+        states.sensitivity, root, cov=states.cov, chosen=jitter_rows
     )
     # Path and step depend on the same whitened errors: hence their cross-covariance. The path
     # before the step depends on η° and c only, and is turned to the axes of the current frame.

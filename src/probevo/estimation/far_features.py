@@ -61,12 +61,14 @@ def translation_signal(
     weighted = solution.curvature[:, None, None] * (solution.information @ jacobian)
     information = jacobian.mT @ weighted
     # For the disparities as they are; the rotation is eliminated, A_tt − A_tr A_rr⁻¹ A_rt.
-    of_translation = np.einsum("n,nij->ij", disparity**2, information[:, :3, :3])
+    translation_information = np.einsum("n,nij->ij", disparity**2, information[:, :3, :3])
     mixed = np.einsum("n,nij->ij", disparity, information[:, 3:, :3])
-    of_rotation = information[:, 3:, 3:].sum(axis=0)
+    rotation_information = information[:, 3:, 3:].sum(axis=0)
     noise = np.einsum("n,nij->ij", variance, information[:, :3, :3])
-    of_features = of_translation - mixed.T @ np.linalg.solve(of_rotation, mixed)
-    noise_shares = scipy.linalg.eigvalsh(noise, of_features + np.linalg.inv(known))
+    translation_given_rotation = translation_information - mixed.T @ np.linalg.solve(
+        rotation_information, mixed
+    )
+    noise_shares = scipy.linalg.eigvalsh(noise, translation_given_rotation + np.linalg.inv(known))
     return 1.0 - float(noise_shares[-1])
 
 

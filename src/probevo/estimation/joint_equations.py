@@ -22,7 +22,7 @@ class JointEquations(NamedTuple):
     """H, [m, m]."""
     cross: FloatArray
     """C = Σ w Jᵀ Σ⁻¹ D, [m, R]."""
-    of_others: FloatArray
+    other_hessian: FloatArray
     """B = Σ w Dᵀ Σ⁻¹ D, [R, R]."""
     gradient: FloatArray
     """By the unknowns that are eliminated, with their priors, [m]."""
@@ -42,17 +42,17 @@ class JointEquations(NamedTuple):
         D_and_residual = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
         weighted = np.empty_like(D_and_residual)
         weigh_columns(solution.information, solution.irls_weight, D_and_residual, weighted)
-        by_motion = sum_products(solution.full_jacobian, weighted)
-        by_others = sum_products(D, weighted)
-        gradient = by_motion[:, -1]
+        motion_products = sum_products(solution.full_jacobian, weighted)
+        other_products = sum_products(D, weighted)
+        gradient = motion_products[:, -1]
         if solution.jitter is not None:
             gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
         return JointEquations(
             hessian=solution.full_hessian,
-            cross=by_motion[:, :-1],
-            of_others=by_others[:, :-1],
+            cross=motion_products[:, :-1],
+            other_hessian=other_products[:, :-1],
             gradient=gradient,
-            others_gradient=-by_others[:, -1],
+            others_gradient=-other_products[:, -1],
         )
 
     def eliminating(
@@ -66,11 +66,11 @@ class JointEquations(NamedTuple):
             gradient: of the logarithm of their prior, [r].
         """
         cross = self.cross[:, :num]
-        of_these = self.of_others[:num, :num] + information
+        hessian_of_these = self.other_hessian[:num, :num] + information
         return JointEquations(
-            hessian=np.block([[self.hessian, -cross], [-cross.T, of_these]]),
-            cross=np.concatenate([self.cross[:, num:], -self.of_others[:num, num:]]),
-            of_others=self.of_others[num:, num:],
+            hessian=np.block([[self.hessian, -cross], [-cross.T, hessian_of_these]]),
+            cross=np.concatenate([self.cross[:, num:], -self.other_hessian[:num, num:]]),
+            other_hessian=self.other_hessian[num:, num:],
             gradient=np.concatenate([self.gradient, self.others_gradient[:num] + gradient]),
             others_gradient=self.others_gradient[num:],
         )
@@ -83,7 +83,7 @@ class JointEquations(NamedTuple):
         return Elimination(
             gain=gain.astype(float, copy=False),
             step=solved[:, -1].astype(float),
-            information=self.of_others - self.cross.T @ gain,
+            information=self.other_hessian - self.cross.T @ gain,
             gradient=gain.T @ self.gradient + self.others_gradient,
         )
 

@@ -74,7 +74,7 @@ def estimate_motion(
     camera = as_camera(camera)
     prev = as_finite_array(prev_px, "prev_px", (None, 4))
     curr = as_finite_array(curr_px, "curr_px", (len(prev), 4))
-    of_matches = _as_match_noise(noise, len(prev), camera)
+    match_noise = _as_match_noise(noise, len(prev), camera)
     start = np.eye(4)
     if guess is not None:
         start = se3.check_transform(as_finite_array(guess, "guess", (4, 4)), "guess")
@@ -92,7 +92,7 @@ def estimate_motion(
         rng,
         guess=start,
         threshold=InlierThreshold(
-            _threshold_px(of_matches), common_sigma_px(of_matches.jitter_cov, camera)
+            _threshold_px(match_noise), common_sigma_px(match_noise.jitter_cov, camera)
         ),
     )
     # From there each match is tested by its own noise, again and again as the motion improves. If
@@ -104,9 +104,9 @@ def estimate_motion(
         used = agreeing
         if used.sum() < MIN_MATCHES:
             return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
-        solution = _solved(tracks, of_matches, used, camera, T_curr_prev)
+        solution = _solved(tracks, match_noise, used, camera, T_curr_prev)
         T_curr_prev = solution.T_curr_prev
-        agreeing = _agree(tracks, of_matches, camera, solution)
+        agreeing = _agree(tracks, match_noise, camera, solution)
         if (agreeing == used).all():
             break
     if not np.isfinite(solution.cov).all():

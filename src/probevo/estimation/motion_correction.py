@@ -79,7 +79,7 @@ class CovarianceIntersection(NamedTuple):
     motion: float
     """Factor of the corrected motion's covariance."""
 
-    def of_features(self, weights: FloatArray) -> FloatArray:
+    def feature_factors(self, weights: FloatArray) -> FloatArray:
         """Return the factor of each of N features, given its two-frame weight, [N], 0 to 1.
 
         Under the inflated covariance, the robust loss of the window would accept outliers. Their
@@ -89,7 +89,7 @@ class CovarianceIntersection(NamedTuple):
 
 
 def covariance_intersection(
-    of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
+    image_motion: MotionEstimate, motion: MotionEstimate, num_frames: int
 ) -> CovarianceIntersection:
     """Return how features and corrected motion share the information of the same images.
 
@@ -105,17 +105,17 @@ def covariance_intersection(
     the corrected motion (Niehsen 2002).
 
     Args:
-        of_images: the motion of the two-frame solve.
+        image_motion: the motion of the two-frame solve.
         motion: the corrected one.
         num_frames: frames of the window, K.
     """
     # Both in units of the covariance of the two-frame motion, averaged over the six dimensions
-    xi = se3.log(motion.T_curr_prev @ se3.inverse(of_images.T_curr_prev))
-    information = np.linalg.inv(of_images.own_cov)
-    of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
-    of_motion = float(np.trace(information @ motion.cov)) / len(xi)
+    xi = se3.log(motion.T_curr_prev @ se3.inverse(image_motion.T_curr_prev))
+    information = np.linalg.inv(image_motion.own_cov)
+    features_factor = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
+    motion_factor = float(np.trace(information @ motion.cov)) / len(xi)
     # Covariance intersection with ω = λ/(λ + c): λ/(1 − ω) times C, and 1/ω times Σ
-    both = of_features + of_motion
+    both = features_factor + motion_factor
     return CovarianceIntersection(
-        features=of_features * both / of_motion, motion=both / of_features
+        features=features_factor * both / motion_factor, motion=both / features_factor
     )

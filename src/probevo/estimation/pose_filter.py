@@ -68,8 +68,8 @@ class UncorrectedPath:
             + motion.common_mode @ pose.common_mode[:POSE].T
         )
         step_share = with_path @ scaled_inverse(pose.cov + np.diag(MIN_SIGMA**2))
-        of_step = np.eye(len(moved), POSE) - moved
-        return UncorrectedPath(pose, moved + of_step @ step_share), cross_cov
+        step_weight = np.eye(len(moved), POSE) - moved
+        return UncorrectedPath(pose, moved + step_weight @ step_share), cross_cov
 
 
 @dataclass(frozen=True)
@@ -325,9 +325,9 @@ class _JointPrior(VectorMeasurement):
         """Return ∂e/∂ξ of the pose, see ``PosePrior``, and −1 for the others."""
         # One [6 + n, ·] for each variable, whose own rows alone are not zero.
         size = len(self.covariance)
-        of_pose = np.zeros((size, POSE))
-        of_pose[:POSE] = self._pose_prior.jacobians(values)[0]
-        found = [of_pose]
+        pose_rows = np.zeros((size, POSE))
+        pose_rows[:POSE] = self._pose_prior.jacobians(values)[0]
+        found = [pose_rows]
         start = POSE
         for state in self.further:
             stop = start + len(state.value)

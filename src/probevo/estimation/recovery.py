@@ -101,18 +101,18 @@ class DeadReckonedPath:
 
 
 @dataclass(frozen=True)
-class Gap:
-    """Dead-reckoned steps between two solved ones, whose velocities are known.
+class OutageVelocity:
+    """Mean velocity during dead-reckoned steps between two solved ones, whose velocities are known.
 
-    The mean velocity meanwhile is that of both, up to the accelerations of the vehicle. A motion
-    across the gap that contradicts it is not the camera's: a lorry that covers the view may be seen
-    before and after the gap, too.
+    It is the mean of both, up to the accelerations of the vehicle. A motion across the outage that
+    contradicts it is not the camera's: a lorry that covers the view may be seen before and after
+    the outage, too.
     """
 
     duration_s: float
-    """Of the dead-reckoned steps."""
+    """Duration of the dead-reckoned steps."""
     mean_twist: FloatArray
-    """Mean of the velocities before and after the gap, [6], m/s and rad/s."""
+    """Mean of the velocities before and after them, [6], m/s and rad/s."""
     sigma: FloatArray
     """Standard deviation of the mean velocity in between, [6]."""
     T_curr_end: FloatArray
@@ -121,8 +121,8 @@ class Gap:
     @staticmethod
     def between(
         path: DeadReckonedPath, before: MotionModel, motion: MotionEstimate, duration_s: float
-    ) -> Gap:
-        """Return the gap before a solved step.
+    ) -> OutageVelocity:
+        """Return the mean velocity before a solved step.
 
         Args:
             path: the dead-reckoned one.
@@ -134,18 +134,18 @@ class Gap:
         sigma = np.sqrt(np.diagonal(motion.cov)) / duration_s
         unknown = before.accelerations * (path.duration_s + duration_s)
         if before.speed_is_unknown:
-            return Gap(path.duration_s, twist, sigma + unknown, motion.T_curr_prev)
+            return OutageVelocity(path.duration_s, twist, sigma + unknown, motion.T_curr_prev)
         # With a constant acceleration, the mean of both is right. One that is new in the middle,
         # and ends with the same velocity, moves it by half of what it might alone.
-        return Gap(
+        return OutageVelocity(
             path.duration_s,
             mean_twist=0.5 * (before.twist + twist),
             sigma=0.5 * (before.twist_sigma + sigma + unknown),
             T_curr_end=motion.T_curr_prev,
         )
 
-    def advanced(self, T_curr_prev: FloatArray) -> Gap:
-        """Return the gap after one more solved step, [4, 4]."""
+    def advanced(self, T_curr_prev: FloatArray) -> OutageVelocity:
+        """Return the same after one more solved step, [4, 4]."""
         return replace(self, T_curr_end=T_curr_prev @ self.T_curr_end)
 
     def contradicts(self, T_curr_usable: FloatArray, cov: FloatArray) -> bool:
@@ -156,7 +156,7 @@ class Gap:
             T_curr_usable: the motion, [4, 4].
             cov: its covariance, [6, 6].
         """
-        # Both at the end of the gap: E (Exp(ξ) T) = Exp(Ad(E) ξ) E T.
+        # Both at the end of the outage: E (Exp(ξ) T) = Exp(Ad(E) ξ) E T.
         T_end_curr = se3.inverse(self.T_curr_end)
         across = se3.log(T_end_curr @ T_curr_usable)
         adjoint = se3.adjoint(T_end_curr)

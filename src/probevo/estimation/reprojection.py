@@ -118,8 +118,8 @@ class ReprojectionSolution:
         if self.jitter is None:
             return information
         coupling = information[6:, :6]
-        of_jitter = coupling.T @ np.linalg.solve(information[6:, 6:], coupling)
-        return np.asarray(information[:6, :6] - of_jitter, np.float64)
+        jitter_information = coupling.T @ np.linalg.solve(information[6:, 6:], coupling)
+        return np.asarray(information[:6, :6] - jitter_information, np.float64)
 
     @property
     def full_jacobian(self) -> FloatArray:
@@ -188,9 +188,9 @@ def solve_reprojection(
     information = features.information
     # The features' information is that of an M-estimate; other measurements add their own.
     if others:
-        of_others = levenberg_marquardt.information(others, optimum.values, [curr])
-        hessian[:6, :6] += of_others
-        information[:6, :6] += of_others
+        other_information = levenberg_marquardt.information(others, optimum.values, [curr])
+        hessian[:6, :6] += other_information
+        information[:6, :6] += other_information
     # The inverse of the Fisher information over (ξ, η): its block of ξ is marginalised over η.
     cov = inverse_or_nan(information)
     jitter = None

@@ -195,22 +195,24 @@ def _common_mode(
     # One root of the joint covariance, which is lower triangular: b moves the motion by itself and
     # by what it tells of the field; of the field, only what is independent of b is left to add.
     root = np.linalg.cholesky(rig.disparity_and_field_cov)
-    of_disparity = motion_gain[:, : _FIELD.stop] @ root[:, :3]
+    disparity_effect = motion_gain[:, : _FIELD.stop] @ root[:, :3]
     distortion_gain = motion_gain[:, _FIELD]
-    of_field = distortion_gain @ root[_FIELD, _FIELD]
+    field_effect = distortion_gain @ root[_FIELD, _FIELD]
     # So does what is unknown of a readout time that is corrected.
     if rig.image.readout_sigma_s:
-        of_readout = motion_gain[:, _READOUT] + motion_gain[:, _IMAGE] @ rig.image.shift_by_readout
-        of_field = np.column_stack([of_field, rig.image.readout_sigma_s * of_readout])
+        readout_effect = (
+            motion_gain[:, _READOUT] + motion_gain[:, _IMAGE] @ rig.image.shift_by_readout
+        )
+        field_effect = np.column_stack([field_effect, rig.image.readout_sigma_s * readout_effect])
     # A wrong focal length moves the motion, and what was estimated of the image errors, too. It is
     # f b that a stereo calibration fixes by the size of its board, and a longer baseline makes the
     # motion longer.
     focal_gain = motion_gain[:, _EPSILON].copy()
     focal_gain[:3] -= solution.T_curr_prev[:3, 3]
-    of_focal_length = focal_gain + motion_gain[:, _IMAGE] @ rig.image.shift_by_focal
+    focal_effect = focal_gain + motion_gain[:, _IMAGE] @ rig.image.shift_by_focal
     return CommonMode(
         columns=np.column_stack(
-            [of_disparity, _square_root(of_field), rig.image.focal_rms * of_focal_length]
+            [disparity_effect, _square_root(field_effect), rig.image.focal_rms * focal_effect]
         ),
         distortion_gain=distortion_gain,
         focal_gain=focal_gain,
@@ -266,16 +268,16 @@ def calibration_sensitivity(
     """
     sensitivity = np.empty((len(tracks), 4, 6 + NUM_COEFFICIENTS))
     intrinsics = Intrinsics.of(camera)
-    of_disparity = np.empty((len(tracks), 4, 4))
+    disparity_effect = np.empty((len(tracks), 4, 4))
     disparity_sensitivities(
         solution.disparity_jacobian,
         np.array(tracks.prev_px, order="C"),
         np.array(tracks.curr_px, order="C"),
         camera=intrinsics,
-        sensitivity=of_disparity,
+        sensitivity=disparity_effect,
     )
-    sensitivity[:, :, :3] = of_disparity[:, :, :3]
-    sensitivity[:, :, _RADIAL] = of_disparity[:, :, 3]
+    sensitivity[:, :, :3] = disparity_effect[:, :, :3]
+    sensitivity[:, :, _RADIAL] = disparity_effect[:, :, 3]
     # The modes are those at the most likely pixels given both observations. At the observed ones,
     # the noise of a pixel would be in its modes and in its residual, and bias the field: a field
     # that pulls the pixels together makes all residuals smaller.

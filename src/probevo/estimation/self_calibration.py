@@ -50,7 +50,7 @@ class CalibratedMotion:
     visual: VisualMotion
     rig: RigCalibration | None
     """The calibration after the step; None without self-calibration."""
-    of_images: CommonMode
+    image_common_mode: CommonMode
     """How errors of the calibration before the step move its motion by the images alone."""
     common_mode: CommonMode
     """The same of the solved motion, to which other measurements contribute, too."""
@@ -287,7 +287,7 @@ class SelfCalibratingEstimator:
                     corrected,
                     visual,
                     rig=rig,
-                    of_images=CommonMode.none(),
+                    image_common_mode=CommonMode.none(),
                     common_mode=CommonMode.none(),
                     jitter_cov=learned if rig is None else jitter_cov,
                 )
@@ -295,7 +295,7 @@ class SelfCalibratingEstimator:
             # assumed.
             used = corrected.tracks.subset(visual.used)
             two_frames = visual.two_frames_only
-            updated, of_images = update_rig(
+            updated, image_common_mode = update_rig(
                 rig,
                 used,
                 two_frames,
@@ -310,8 +310,8 @@ class SelfCalibratingEstimator:
             corrected,
             visual,
             rig=updated,
-            of_images=of_images,
-            common_mode=_beside_measurements(priors, visual.solution, of_images),
+            image_common_mode=image_common_mode,
+            common_mode=_beside_measurements(priors, visual.solution, image_common_mode),
             jitter_cov=jitter_cov,
         )
 
@@ -341,7 +341,7 @@ def _depends_on_velocity(rig: RigCalibration | None) -> bool:
 
 
 def _beside_measurements(
-    priors: MotionPriors, solution: ReprojectionSolution | None, of_images: CommonMode
+    priors: MotionPriors, solution: ReprojectionSolution | None, image_common_mode: CommonMode
 ) -> CommonMode:
     """Return how errors of the calibration move a motion beside other measurements of it.
 
@@ -351,9 +351,9 @@ def _beside_measurements(
     Args:
         priors: with these measurements.
         solution: the solve; None if it is degenerate.
-        of_images: U₀.
+        image_common_mode: U₀.
     """
     if solution is None or not priors.measurements:
-        return of_images
+        return image_common_mode
     information = priors.information_of_measurements(solution.T_curr_prev)
-    return of_images.times(np.eye(6) - solution.cov @ information)
+    return image_common_mode.times(np.eye(6) - solution.cov @ information)

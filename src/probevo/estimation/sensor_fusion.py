@@ -146,13 +146,13 @@ class SensorMemory:
         """
         if self.excluded is not None:
             return self
-        of_pose = reading.of_pose(pose)
-        measurements = (*of_pose, *reading.of_motion(pose))
+        pose_measurements = reading.pose_measurements(pose)
+        measurements = (*pose_measurements, *reading.motion_measurements(pose))
         return replace(
             self,
             without_sensor=_gated_update(self.without_sensor, others, pose, north).pose,
             with_offset=_gated_update_with_offset(
-                self.with_offset, of_pose, others, pose=pose, north=north
+                self.with_offset, pose_measurements, others, pose=pose, north=north
             ),
             sum_above=_sum_above(self.sum_above, measurements, innovations),
             num_steps=self.num_steps + bool(innovations),
@@ -217,7 +217,7 @@ class SensorFusion:
         pose: Variable,
         north: NorthConfig,
         *,
-        of_motion: Mapping[str, Sequence[SensorInnovation]],
+        motion_innovations: Mapping[str, Sequence[SensorInnovation]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
         """Update the pose with the measurements at a frame, and test each sensor.
 
@@ -225,8 +225,8 @@ class SensorFusion:
             readings: of each sensor, in order.
             pose: the pose of the frame.
             north: prior of the attitude of the world relative to north.
-            of_motion: by sensor, the innovations of its measurements of the motion, which the solve
-                has used.
+            motion_innovations: by sensor, the innovations of its measurements of the motion, which
+                the solve has used.
 
         Returns:
             The state after the update, and the outcome of each sensor.
@@ -236,32 +236,37 @@ class SensorFusion:
             reading if memory.excluded is None else Reading(memory.name)
             for memory, reading in zip(self.memories, readings, strict=True)
         ]
-        of_pose = [reading.of_pose(pose) for reading in readings]
+        pose_measurements = [reading.pose_measurements(pose) for reading in readings]
         # The pose from all sensors, which gives the innovation of each measurement of the pose.
-        fused = _gated_update(self.pose, _joined(of_pose), pose, north)
+        fused = _gated_update(self.pose, _joined(pose_measurements), pose, north)
         # Then each sensor by itself: its outcome, and its tests.
         outcomes = []
         memories = []
         start = 0
         for index, (memory, reading) in enumerate(zip(self.memories, readings, strict=True)):
-            stop = start + len(of_pose[index])
-            innovations = (*fused.innovations[start:stop], *of_motion.get(reading.name, ()))
+            stop = start + len(pose_measurements[index])
+            innovations = (
+                *fused.innovations[start:stop],
+                *motion_innovations.get(reading.name, ()),
+            )
             start = stop
             outcomes.append(_outcome(memory, reading, innovations))
-            others = _joined([*of_pose[:index], *of_pose[index + 1 :]])
+            others = _joined([*pose_measurements[:index], *pose_measurements[index + 1 :]])
             memories.append(memory.updated(reading, innovations, others, pose=pose, north=north))
         after = SensorFusion(fused.pose, self.odometry, tuple(memories))
         suspects = [
             suspect
             for index, memory in enumerate(memories)
-            for suspect in _suspects(memory, index, of_pose[index])
+            for suspect in _suspects(memory, index, pose_measurements[index])
         ]
         if not suspects:
             return after, tuple(outcomes)
         # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
         # look faulty, too. Their tests are reset.
         worst = max(suspects, key=lambda suspect: suspect.ratio)
-        after, outcomes[worst.sensor] = after._excluding(worst, of_pose[worst.sensor], north)
+        after, outcomes[worst.sensor] = after._excluding(
+            worst, pose_measurements[worst.sensor], north
+        )
         return after, tuple(outcomes)
 
     def _excluding(
@@ -565,16 +570,22 @@ def solve_innovations(
     """
     found: dict[str, list[SensorInnovation]] = {}
     for reading in readings:
-        of_motion = reading.of_motion(curr)
-        found[reading.name] = [SensorInnovation(None, 1.0)] * len(of_motion)
+        motion_measurements = reading.motion_measurements(curr)
+        found[reading.name] = [SensorInnovation(None, 1.0)] * len(motion_measurements)
         if reading.corrects:
             continue
         if solution is not None:
             found[reading.name] = motion_innovations(
-                of_motion, solution.T_curr_prev, curr, cov=solution.cov, common_mode=common_mode
+                motion_measurements,
+                solution.T_curr_prev,
+                curr,
+                cov=solution.cov,
+                common_mode=common_mode,
             )
         elif reckoned is not None:
-            found[reading.name] = [_reckoned_innovation(one, curr, reckoned) for one in of_motion]
+            found[reading.name] = [
+                _reckoned_innovation(one, curr, reckoned) for one in motion_measurements
+            ]
     return found
 
 
@@ -635,8 +646,8 @@ def motion_innovations(
         spread = jacobian @ np.linalg.solve(without, jacobian.T)
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
         # Tested with its own covariance R, not with that over the weight.
-        of_rig = jacobian @ common_mode
-        innovation_cov = R + spread + of_rig @ of_rig.T
+        rig_error = jacobian @ common_mode
+        innovation_cov = R + spread + rig_error @ rig_error.T
         squared = float(squared_mahalanobis(innovation, innovation_cov))
         found[-1] = SensorInnovation(squared, weight)
     return found

@@ -150,28 +150,36 @@ class TrackFactors:
         C = T_curr_prev[:3, :3]
         t = T_curr_prev[:3, 3]
         residual = np.empty(7)
-        by_motion = np.zeros((7, 6))
-        by_point = np.zeros((7, 3))
-        by_common = self.common[track].copy()
+        motion_jacobian = np.zeros((7, 6))
+        point_jacobian = np.zeros((7, 3))
+        common_jacobian = self.common[track].copy()
         residual[_POINT] = point - self.point[track]
-        by_point[_POINT] = np.eye(3)
+        point_jacobian[_POINT] = np.eye(3)
         # The point in the current frame over its depth in the previous one: q = C m + ρ t.
         rho = point[2] / fb
         x, y, z = C @ [(point[0] - cu) / fu, (point[1] - cv) / fv, 1.0] + rho * t
         if z < NEAREST:
-            residual[_POINT] += by_common[_POINT] @ common
+            residual[_POINT] += common_jacobian[_POINT] @ common
             residual[_CURR] = BEHIND_PX
-            by_common[_CURR] = 0.0
-            return FactorLinearization(residual, by_motion, by_point, by_common)
+            common_jacobian[_CURR] = 0.0
+            return FactorLinearization(residual, motion_jacobian, point_jacobian, common_jacobian)
         u = fu * x / z
         v = fv * y / z
         d = point[2] / z
         residual[_CURR] = np.array([u + cu, v + cv, u - d + cu, v + cv]) - self.curr[track]
-        residual += by_common @ common
+        residual += common_jacobian @ common
         # ∂y'/∂q, and q under ξ and s; d itself is in u_r as well.
-        by_q = np.array([[fu, 0.0, -u], [0.0, fv, -v], [fu, 0.0, d - u], [0.0, fv, -v]]) / z
-        by_motion[_CURR, :3] = rho * by_q
-        by_motion[_CURR, 3:] = by_q @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # −q^
-        by_point[_CURR] = by_q @ np.column_stack([C[:, 0] / fu, C[:, 1] / fv, t / fb])
-        by_point[_U_R, _D] -= 1.0 / z
-        return FactorLinearization(residual, by_motion, by_point, by_common)
+        projection_jacobian = (
+            np.array([[fu, 0.0, -u], [0.0, fv, -v], [fu, 0.0, d - u], [0.0, fv, -v]]) / z
+        )
+        motion_jacobian[_CURR, :3] = rho * projection_jacobian
+        motion_jacobian[_CURR, 3:] = projection_jacobian @ [
+            [0.0, z, -y],
+            [-z, 0.0, x],
+            [y, -x, 0.0],
+        ]  # −q^
+        point_jacobian[_CURR] = projection_jacobian @ np.column_stack(
+            [C[:, 0] / fu, C[:, 1] / fv, t / fb]
+        )
+        point_jacobian[_U_R, _D] -= 1.0 / z
+        return FactorLinearization(residual, motion_jacobian, point_jacobian, common_jacobian)

@@ -77,13 +77,13 @@ def fixed_to_vehicle(
             threshold=InlierThreshold(threshold_px),
             confidence=CONFIDENCE,
         )
-        of_scene = moving.subset(found.inliers)
-        if len(of_scene) < fewest:
+        scene = moving.subset(found.inliers)
+        if len(scene) < fewest:
             continue
         # Where the scene is far, what passes is near: its motion would hardly move the scene.
         resting = Hypothesis(np.eye(4), since.subset(moved_px <= threshold_px))
         fixed = resting.contradicting(found.T_curr_prev, camera, threshold_px)
-        if presence_m2(of_scene, camera) > presence_m2(fixed, camera):
+        if presence_m2(scene, camera) > presence_m2(fixed, camera):
             return fixed.ids
     return np.zeros(0, np.int64)
 

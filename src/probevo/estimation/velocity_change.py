@@ -67,9 +67,9 @@ def estimate_change(unknown: ChangeUnknown, solution: ReprojectionSolution) -> V
     """
     eliminated = JointEquations.of(unknown.sensitivity, solution).solved()
     cov = np.linalg.inv(eliminated.information + unknown.prior_information).astype(float)
-    of_motion = eliminated.gain[:6]
+    motion_gain = eliminated.gain[:6]
     return VelocityChange(
         mean=unknown.value + cov @ (eliminated.gradient + unknown.prior_gradient),
         cov=cov,
-        motion_cov=np.asarray(of_motion @ cov @ of_motion.T, np.float64),
+        motion_cov=np.asarray(motion_gain @ cov @ motion_gain.T, np.float64),
     )

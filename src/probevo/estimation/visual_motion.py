@@ -422,8 +422,10 @@ class VisualEstimator:
             enlargement = _residual_scale(solution.squared, solve.noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
-            of_others = priors.information_of_measurements(solution.T_curr_prev)
-            enlarged = replace(solution, cov=_enlarged(solution.cov, enlargement, of_others))
+            other_information = priors.information_of_measurements(solution.T_curr_prev)
+            enlarged = replace(
+                solution, cov=_enlarged(solution.cov, enlargement, other_information)
+            )
             return replace(
                 solve,
                 estimate=replace(solve.estimate, solution=enlarged),
@@ -634,18 +636,18 @@ class VisualEstimator:
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
 
 
-def _enlarged(cov: FloatArray, factor: float, of_others: FloatArray) -> FloatArray:
+def _enlarged(cov: FloatArray, factor: float, other_information: FloatArray) -> FloatArray:
     """Return the covariance of a motion, [6, 6], if that by the images is larger by a factor.
 
     Args:
         cov: by the images and other measurements.
         factor: 1 at least.
-        of_others: information of the other measurements, [6, 6]; they are as good as before.
+        other_information: that of the other measurements, [6, 6]; they are as good as before.
     """
-    if not of_others.any() or not np.isfinite(cov).all():
+    if not other_information.any() or not np.isfinite(cov).all():
         return factor * cov
-    of_images = np.linalg.inv(cov) - of_others
-    return np.asarray(np.linalg.inv(of_images / factor + of_others), np.float64)
+    images_information = np.linalg.inv(cov) - other_information
+    return np.asarray(np.linalg.inv(images_information / factor + other_information), np.float64)
 
 
 def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:

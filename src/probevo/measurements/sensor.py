@@ -46,12 +46,12 @@ class Reading:
     corrects: bool = False
     """Whether the measurement replaces the motion of the images."""
 
-    def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
+    def pose_measurements(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements of this pose alone, or of it and the world's states."""
         own = {pose, *WORLD_STATES}
         return tuple(one for one in self.measurements if own >= set(one.variables))
 
-    def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
+    def motion_measurements(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the others, which also depend on the previous pose, with a bounded loss: a wrong
         one has no influence on the solve."""
         own = {pose, *WORLD_STATES}
@@ -61,11 +61,11 @@ class Reading:
     def without_motion(self, pose: Variable) -> Reading:
         """Keep only the measurements of this pose: a dead-reckoned step has no solve for the
         others."""
-        of_pose = self.of_pose(pose)
+        pose_measurements = self.pose_measurements(pose)
         reason = self.reason
-        if self.measurements and not of_pose:
+        if self.measurements and not pose_measurements:
             reason = "dead-reckoned step"
-        return Reading(self.name, of_pose, reason)
+        return Reading(self.name, pose_measurements, reason)
 
 
 def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:

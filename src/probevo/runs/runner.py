@@ -248,7 +248,7 @@ class _Records:
         self.pictures.add(frame, odometry)
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
-        self.motions_of_images.add(odometry.T_of_images)
+        self.motions_of_images.add(odometry.T_curr_prev_before_window)
         if motion.status is Status.OK:
             self.fixed.add(
                 odometry.tracks, motion.T_curr_prev, of_vehicle=odometry.tracks_of_vehicle
@@ -256,7 +256,7 @@ class _Records:
         seen = odometry.tracks.subset(odometry.used)
         self.heights.add(
             frame.stamp_ns,
-            odometry.T_of_images,
+            odometry.T_curr_prev_before_window,
             seen.ids,
             seen.curr_px,
             is_ok=motion.status is Status.OK,

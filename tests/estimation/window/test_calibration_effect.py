@@ -64,7 +64,7 @@ def test_the_second_moment_is_that_of_errors_that_add_up() -> None:
         of_pose.append(of_pose[-1] @ adjoint.T + (fields - used_px) @ gain.T)
     last = of_pose[-1]
     sampled = last.T @ last / len(last)
-    claimed = effect.of_pose(STEPS)
+    claimed = effect.pose_cov(STEPS)
     sigma = np.sqrt(np.diagonal(claimed))
     np.testing.assert_allclose(
         sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
@@ -102,7 +102,7 @@ def test_an_error_of_the_focal_length_adds_up_and_moves_the_field() -> None:
             moved = focal_gain + gain @ errors.distortion_shift_by_focal
             expected = adjoint @ expected + moved
         S = effect.path.field[2]
-        claimed = effect.of_pose(2) - S @ errors.distortion_cov @ S.T
+        claimed = effect.pose_cov(2) - S @ errors.distortion_cov @ S.T
         expected *= errors.focal_rms
         np.testing.assert_allclose(claimed, np.outer(expected, expected), atol=1e-12, err_msg=turns)
 
@@ -135,7 +135,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
         )
         error = error @ adjoint.T + fields @ gain.T
         error += np.outer(readout_s - used.readout_s, readout_gain)
-    claimed = effect.of_pose(STEPS)
+    claimed = effect.pose_cov(STEPS)
     sigma = np.sqrt(np.diagonal(claimed))
     sampled = error.T @ error / len(error)
     np.testing.assert_allclose(
@@ -146,7 +146,7 @@ def test_a_readout_that_is_noticed_late_has_moved_the_steps_before() -> None:
     effect = effect.with_step(
         moves(gain, readout_gain=readout_gain), used=known, errors=known, velocity_cov=NO_COV
     )
-    np.testing.assert_allclose(effect.of_pose(1), gain @ known.distortion_cov @ gain.T, atol=1e-18)
+    np.testing.assert_allclose(effect.pose_cov(1), gain @ known.distortion_cov @ gain.T, atol=1e-18)
 
 
 def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
@@ -158,15 +158,15 @@ def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_not
         effect = effect.with_new_frame(-1, FORWARD)
         gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
         effect = effect.with_step(moves(gain), used=errors, errors=errors, velocity_cov=NO_COV)
-    np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
+    np.testing.assert_allclose(effect.pose_cov(STEPS), 0.0, atol=1e-15)
 
 
 def test_frames_are_left_out_by_mask_and_by_slice() -> None:
     effect, *_ = walked(np.random.default_rng(3))
-    last = effect.of_pose(STEPS)
-    np.testing.assert_array_equal(effect.subset(slice(1, None)).of_pose(STEPS - 1), last)
+    last = effect.pose_cov(STEPS)
+    np.testing.assert_array_equal(effect.subset(slice(1, None)).pose_cov(STEPS - 1), last)
     keep = np.array([True, False, True, True, False, True])
-    np.testing.assert_array_equal(effect.subset(keep).of_pose(3), last)
+    np.testing.assert_array_equal(effect.subset(keep).pose_cov(3), last)
 
 
 def test_what_is_unknown_of_the_velocity_moves_the_pose_of_its_frame_only() -> None:
@@ -180,10 +180,10 @@ def test_what_is_unknown_of_the_velocity_moves_the_pose_of_its_frame_only() -> N
         effect = effect.with_new_frame(-1, np.eye(4))
         effect = effect.with_step(CommonMode.none(), used=errors, errors=errors, velocity_cov=cov)
     effect = effect.with_new_frame(-1, np.eye(4))
-    np.testing.assert_allclose(effect.of_pose(2), 0.5 * cov)
-    np.testing.assert_allclose(effect.of_pose(3), 0.0)
+    np.testing.assert_allclose(effect.pose_cov(2), 0.5 * cov)
+    np.testing.assert_allclose(effect.pose_cov(3), 0.0)
     np.testing.assert_allclose(effect.between(2, 1, np.eye(6)), cov)
     np.testing.assert_allclose(effect.between(2, 2, np.eye(6)), 0.0)
     turned = se3.adjoint(FORWARD)
     np.testing.assert_allclose(effect.between(3, 2, turned), turned @ (0.5 * cov) @ turned.T)
-    np.testing.assert_allclose(effect.subset(slice(2, None)).of_pose(0), 0.5 * cov)
+    np.testing.assert_allclose(effect.subset(slice(2, None)).pose_cov(0), 0.5 * cov)

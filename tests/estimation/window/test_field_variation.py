@@ -26,7 +26,7 @@ def test_the_covariance_is_that_of_fields_that_change() -> None:
         error = error @ adjoint.T + field @ gain.T
         variation = variation.with_new_frame(-1, FORWARD).with_step(gain)
     sampled = error.T @ error / len(error)
-    claimed = variation.of_pose(-1, SIGMA_PX)
+    claimed = variation.pose_cov(-1, SIGMA_PX)
     sigma = np.sqrt(np.diagonal(claimed))
     np.testing.assert_allclose(
         sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
@@ -41,12 +41,12 @@ def test_it_does_not_cancel_on_the_way_back() -> None:
     variation = FieldVariation.none()
     for sign in (1.0,) * 40 + (-1.0,) * 40:
         variation = variation.with_new_frame(-1, ahead).with_step(sign * gain)
-    there = variation.of_pose(40, SIGMA_PX)[2, 2]
-    back = variation.of_pose(80, SIGMA_PX)[2, 2]
+    there = variation.pose_cov(40, SIGMA_PX)[2, 2]
+    back = variation.pose_cov(80, SIGMA_PX)[2, 2]
     assert back > 1.5 * there
 
 
 def test_a_field_of_nothing_moves_nothing() -> None:
     gain = np.ones((6, NUM_COEFFICIENTS))
     variation = FieldVariation.none().with_new_frame(-1, FORWARD).with_step(gain)
-    assert not variation.of_pose(-1, 0.0).any()
+    assert not variation.pose_cov(-1, 0.0).any()

@@ -27,9 +27,9 @@ from probevo.estimation.window.inertial_states import STATE, InertialStates, mov
 from probevo.estimation.window.inertial_steps import (
     NO_SOLUTION,
     UNTESTABLE,
+    initialize_states,
+    preintegrate_samples,
     system_of,
-    with_samples,
-    with_states_if_consistent,
 )
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
@@ -203,14 +203,14 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
     guess = np.eye(4)
     guess[2, 3] = -0.8
     for prev, curr in pairwise(frames):
-        sampled = with_samples(window, prev, curr)
+        sampled = preintegrate_samples(window, prev, curr)
         tracks = tracks_between(prev, curr)
         predicted_noise = noise.predict(np.zeros((len(tracks), 0)))
         motion = guess
         if sampled.inertial.prediction is not None:
             motion = sampled.inertial.prediction.T_curr_prev
-        window = by.with_frame(sampled, curr.index, motion, tracks, predicted_noise)
-        window = with_states_if_consistent(adjusted_without_gauge(by, window))
+        window = by.extend(sampled, curr.index, motion, tracks, predicted_noise)
+        window = initialize_states(adjusted_without_gauge(by, window))
         if len(window) > 7:
             window = by.adjustment.without_oldest(window)
     assert window.frames[0] >= 60
@@ -218,8 +218,8 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
     system = system_of(window)
     assert system is not None
     joint = system.hessian.copy()
-    of_images = by.adjustment._system(replace(window, inertial=Inertial.none())).equations.hessian
-    joint[: len(of_images), : len(of_images)] += of_images
+    by_images = by.adjustment._system(replace(window, inertial=Inertial.none())).equations.hessian
+    joint[: len(by_images), : len(by_images)] += by_images
     # In units in which each variable has the same information: they differ by 1e9 otherwise.
     unit = np.sqrt(np.diagonal(joint))
     joint /= np.outer(unit, unit)
@@ -280,7 +280,7 @@ def test_a_prediction_and_its_covariance_are_those_of_the_images(run: Run) -> No
 
 
 def _factor_after(window: Window, prev: Frame, frame: Frame) -> Preintegration:
-    sampled = with_samples(window, prev, frame)
+    sampled = preintegrate_samples(window, prev, frame)
     assert sampled.inertial.pending is not None
     return sampled.inertial.pending
 
@@ -756,8 +756,8 @@ def test_an_imu_that_cannot_be_tested_waits() -> None:
     window = by.window
     assert window is not None
     untested = replace(window, inertial=window.inertial.restarted())
-    assert with_states_if_consistent(untested).inertial.is_used
-    broken = with_states_if_consistent(replace(untested, cov=-untested.cov))
+    assert initialize_states(untested).inertial.is_used
+    broken = initialize_states(replace(untested, cov=-untested.cov))
     assert not broken.inertial.is_used
     assert broken.inertial.reason is UNTESTABLE
     assert not broken.inertial.is_excluded

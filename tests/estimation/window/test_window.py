@@ -82,7 +82,7 @@ def windows_of(
         tracks = tracks_between(prev, curr)
         noise = noise_of(len(tracks), dof=dof, tau_px=tau_px)
         two_frames = step_to(curr.index, guess)
-        windows.append(by.with_features(windows[-1], tracks, noise, two_frames=two_frames))
+        windows.append(by.add_observed_frame(windows[-1], tracks, noise, motion=two_frames))
     return windows
 
 
@@ -276,7 +276,7 @@ def test_the_window_gains_no_information_about_where_it_is() -> None:
     for prev, curr in pairwise(frames):
         tracks = tracks_between(prev, curr)
         guess = se3.exp(1e-3 * rng.normal(size=6)) @ FORWARD
-        extended = by.with_frame(window, curr.index, guess, tracks, noise_of(len(tracks)))
+        extended = by.extend(window, curr.index, guess, tracks, noise_of(len(tracks)))
         adjusted = _adjusted_without_gauge(by, extended)
         before = before or (adjusted if len(adjusted) == 6 else None)
         window = by.adjustment.without_oldest(adjusted) if len(adjusted) > 6 else adjusted
@@ -343,7 +343,7 @@ def test_after_a_blackout_measured_rotations_turn_the_window_no_further() -> Non
             if 8 <= k < 12:
                 guess = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0])) @ FORWARD
                 blind = RelativePose(guess, 3e-3 * np.eye(6), curr=pose_of(k), prev=pose_of(k - 1))
-                window = by.without_features(window, k, blind)
+                window = by.add_unobserved_frame(window, k, blind)
                 continue
             measured = []
             if measures:
@@ -351,11 +351,11 @@ def test_after_a_blackout_measured_rotations_turn_the_window_no_further() -> Non
                 measured = [RelativeRotation(C, 1e-6 * np.eye(3), pose_of(k), pose_of(k - 1))]
             tracks = tracks_between(prev, curr)
             before = window
-            window = by.with_features(
+            window = by.add_observed_frame(
                 window,
                 tracks,
                 noise_of(len(tracks)),
-                two_frames=step_to(k, FORWARD),
+                motion=step_to(k, FORWARD),
                 measurements=measured,
             )
             step = window.T_cam_world[-1] @ se3.inverse(before.T_cam_world[-1])
@@ -414,11 +414,11 @@ def test_with_jitter_of_the_rig_relative_poses_are_consistent(knows: bool) -> No
             tracks = tracks_between(prev, curr)
             if knows:
                 window = replace(window, jitter_cov=cov)
-            window = by.with_features(
+            window = by.add_observed_frame(
                 window,
                 tracks,
                 noise_of(len(tracks)),
-                two_frames=step_to(curr.index, FORWARD),
+                motion=step_to(curr.index, FORWARD),
             )
         T, relative_cov = window.relative(8, 4)
         expected = np.linalg.matrix_power(FORWARD, 4)
@@ -555,12 +555,12 @@ def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
     window = windows_of(frames[:4], by)[-1]
     cov = np.diag([0.1, 0.1, 0.2, 0.01, 0.01, 0.01]) ** 2
     reckoned = RelativePose(FORWARD, cov, curr=pose_of(4), prev=pose_of(3))
-    window = by.without_features(window, 4, reckoned)
+    window = by.add_unobserved_frame(window, 4, reckoned)
     _, found = window.relative(len(window) - 1, len(window) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-6, atol=1e-12)
     tracks = tracks_between(frames[4], frames[5])
     noise = noise_of(len(tracks))
-    window = by.with_features(window, tracks, noise, two_frames=step_to(5, FORWARD))
+    window = by.add_observed_frame(window, tracks, noise, motion=step_to(5, FORWARD))
     _, over_gap = window.relative(window.slot(5), window.slot(3))
     assert (np.diag(over_gap) > np.diag(cov) * 0.9).all()
 
@@ -570,11 +570,11 @@ def test_a_place_that_is_lost_by_rounding_leaves_the_motions_known() -> None:
     by = estimator(6)
     frames = drive(np.random.default_rng(65), 10, points=80, sigma_px=SIGMA_PX)
     window = windows_of(frames[:9], by)[-1]
-    known = by.without_features(window, 9, step_to(9, FORWARD))
+    known = by.add_unobserved_frame(window, 9, step_to(9, FORWARD))
     size = len(window.prior.vector)
     for lost in (0.0, 1e-18):
         prior = MarginalPrior(lost * window.prior.information, np.zeros(size))
-        found = by.without_features(replace(window, prior=prior), 9, step_to(9, FORWARD))
+        found = by.add_unobserved_frame(replace(window, prior=prior), 9, step_to(9, FORWARD))
         last = len(found) - 1
         T_last, cov_last = found.relative(last, last - 1)
         np.testing.assert_allclose(T_last, known.relative(last, last - 1)[0], atol=1e-4)
@@ -582,11 +582,11 @@ def test_a_place_that_is_lost_by_rounding_leaves_the_motions_known() -> None:
         assert (np.diagonal(found.cov) > 0.0).all()
         assert np.linalg.eigvalsh(cov_last)[0] > 0.0
         tracks = tracks_between(frames[8], frames[9])
-        with_features = by.with_features(
+        with_features = by.add_observed_frame(
             replace(window, prior=prior),
             tracks,
             noise_of(len(tracks)),
-            two_frames=step_to(9, FORWARD),
+            motion=step_to(9, FORWARD),
         )
         last = len(with_features) - 1
         T_seen, cov_seen = with_features.relative(last, last - 1)
@@ -614,7 +614,7 @@ def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
     window = windows_of(frames[:3], by)[-1]
     tracks = tracks_between(frames[2], frames[3]).subset(np.arange(2))
     two_frames = step_to(3, FORWARD)
-    window = by.with_features(window, tracks, noise_of(2), two_frames=two_frames)
+    window = by.add_observed_frame(window, tracks, noise_of(2), motion=two_frames)
     T, cov = window.relative(3, 2)
     np.testing.assert_allclose(T, FORWARD, atol=1e-9)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
@@ -640,7 +640,7 @@ def test_a_bias_adds_up_along_a_track() -> None:
         )
         noise = replace(noise_of(len(tracks)), bias=np.tile(bias_px, (len(tracks), 1)))
         two_frames = step_to(curr.index, FORWARD)
-        found = by.with_features(found, drifting, noise, two_frames=two_frames)
+        found = by.add_observed_frame(found, drifting, noise, motion=two_frames)
     np.testing.assert_allclose(found.T_cam_world, expected.T_cam_world, atol=1e-9)
     np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-6, atol=1e-12)
 
@@ -654,15 +654,15 @@ def test_what_two_frames_have_measured_counts_once_where_they_stand_for_the_feat
     singular = replace(noise_of(len(tracks)), scale=np.zeros((len(tracks), 4, 4)))
     two_frames = step_to(3, FORWARD)
     of_motion = RelativePose(FORWARD, 1e-4 * np.eye(6), pose_of(3), pose_of(2))
-    window = by.with_features(
-        before, tracks, singular, two_frames=two_frames, measurements=[of_motion]
+    window = by.add_observed_frame(
+        before, tracks, singular, motion=two_frames, measurements=[of_motion]
     )
     _, cov = window.relative(3, 2)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
     there = FORWARD @ before.T_cam_world[-1]
     of_pose = PosePrior(pose_of(3), there, 1e-4 * np.eye(6))
-    window = by.with_features(
-        before, tracks, singular, two_frames=two_frames, measurements=[of_motion, of_pose]
+    window = by.add_observed_frame(
+        before, tracks, singular, motion=two_frames, measurements=[of_motion, of_pose]
     )
     assert (np.diag(window.pose(-1).cov) < 1.1e-4).all()
 
@@ -680,7 +680,7 @@ def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
     scale = noise.scale.copy()
     scale[5, 3, 3] = variance_px2
     two_frames = step_to(2, FORWARD)
-    window = by.with_features(window, tracks, replace(noise, scale=scale), two_frames=two_frames)
+    window = by.add_observed_frame(window, tracks, replace(noise, scale=scale), motion=two_frames)
     T, cov = window.relative(2, 1)
     np.testing.assert_allclose(T, FORWARD, atol=1e-9)
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
@@ -699,7 +699,7 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
         )
         scale = factors @ factors.mT + 0.01 * np.eye(4)
         noise = replace(noise_of(len(tracks)), scale=scale)
-        window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
+        window = by.extend(window, curr.index, FORWARD, tracks, noise)
         assert np.linalg.eigvalsh(by.adjustment._system(window).equations.hessian)[0] > 0.0
         window = by.adjustment.adjusted(window)
 
@@ -880,7 +880,7 @@ def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
         tracks = tracks_between(prev, curr)
         two_frames = step_to(curr.index, FORWARD)
         windows.append(
-            by.with_features(windows[-1], tracks, noise_of(len(tracks)), two_frames=two_frames)
+            by.add_observed_frame(windows[-1], tracks, noise_of(len(tracks)), motion=two_frames)
         )
     motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=0)
     for before, after in pairwise(windows[1:]):
@@ -913,9 +913,9 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     seen = tracks_between(frames[3], frames[5])
     noise = noise_of(len(seen))
     none = noise_of(0)
-    expected = by.with_frame(before, 5, FORWARD @ FORWARD, seen, noise)
-    blind = by.with_frame(before, 4, FORWARD, Tracks.none(), none)
-    found = by.with_frame(blind, 5, FORWARD @ FORWARD, seen, noise, prev=3)
+    expected = by.extend(before, 5, FORWARD @ FORWARD, seen, noise)
+    blind = by.extend(before, 4, FORWARD, Tracks.none(), none)
+    found = by.extend(blind, 5, FORWARD @ FORWARD, seen, noise, prev=3)
     np.testing.assert_array_equal(found.is_blind, [False, False, False, False, True, False])
     np.testing.assert_array_equal(found.frames, [0, 1, 2, 3, 4, 5])
     kept = np.delete(np.arange(6 * POSE + RIG), np.arange(4 * POSE, 5 * POSE))

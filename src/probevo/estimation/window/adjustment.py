@@ -305,7 +305,7 @@ class WindowAdjustment:
         try:
             solved = np.linalg.solve(damped, right_hand_sides)
         except np.linalg.LinAlgError:
-            solved = pose_covariance(damped).in_world @ right_hand_sides
+            solved = pose_covariance(damped).world_cov @ right_hand_sides
         # The rig first, by the Schur complement S = H_rr − H_rp H_pp⁻¹ H_pr, tempered by 1/c: with
         # its prior information Λ, (Λ + S/c) δr = (g_r − H_rp H_pp⁻¹ g_p)/c − Λ r. Then the poses
         # for it, δp = H_pp⁻¹ (g_p − H_pr δr).
@@ -326,10 +326,10 @@ class WindowAdjustment:
         Both are [6K + 4, 6K + 4]; the rig's is tempered.
         """
         poses = slice(None, -RIG)
-        in_world, of_motions = pose_covariance(hessian[poses, poses])
-        cov = self._with_rig(in_world, hessian)
+        world_cov, motion_cov = pose_covariance(hessian[poses, poses])
+        cov = self._with_rig(world_cov, hessian)
         # They are the same unless the position in the world is as good as unknown.
-        return cov, cov if of_motions is in_world else self._with_rig(of_motions, hessian)
+        return cov, cov if motion_cov is world_cov else self._with_rig(motion_cov, hessian)
 
     def _with_rig(self, pose_cov: FloatArray, hessian: FloatArray) -> FloatArray:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4].
@@ -360,8 +360,8 @@ class WindowAdjustment:
         """
         # In units of the prior's standard deviations, Λ is the identity.
         sigma = np.diagonal(self._rig_information) ** -0.5
-        in_units = sigma[:, None] * information * sigma / CORRELATED_FEATURES
-        values, directions = np.linalg.eigh(in_units)
+        scaled = sigma[:, None] * information * sigma / CORRELATED_FEATURES
+        values, directions = np.linalg.eigh(scaled)
         directions = sigma[:, None] * directions
         return np.asarray(directions / (1.0 + np.maximum(values, 0.0)) @ directions.T)
 

@@ -163,11 +163,11 @@ class CalibrationEffect:
             velocity_cov=_added_to_last(self.velocity_cov, 0.5 * velocity_cov),
         )
 
-    def of_pose(self, slot: int) -> FloatArray:
+    def pose_cov(self, slot: int) -> FloatArray:
         """Return the second moment of the error of a pose, [6, 6]."""
-        of_lenses = self._second_moment(self.path.subset(slot))
-        of_field = of_lenses + self.variation.of_pose(slot, self.errors.distortion_sigma_px)
-        moment: FloatArray = of_field + self.velocity_cov[slot]
+        lens_moment = self._second_moment(self.path.subset(slot))
+        field_moment = lens_moment + self.variation.pose_cov(slot, self.errors.distortion_sigma_px)
+        moment: FloatArray = field_moment + self.velocity_cov[slot]
         return moment
 
     def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
@@ -178,11 +178,11 @@ class CalibrationEffect:
             other: of the frame at its start.
             adjoint: of the motion, [6, 6].
         """
-        of_lenses = self._second_moment(self.path.between(slot, other, adjoint))
+        lens_moment = self._second_moment(self.path.between(slot, other, adjoint))
         if slot == other:
-            return of_lenses
-        of_other = adjoint @ self.velocity_cov[other] @ adjoint.T
-        moment: FloatArray = of_lenses + self.velocity_cov[slot] + of_other
+            return lens_moment
+        other_velocity_cov = adjoint @ self.velocity_cov[other] @ adjoint.T
+        moment: FloatArray = lens_moment + self.velocity_cov[slot] + other_velocity_cov
         return moment
 
     def _second_moment(self, moved: PathSensitivity) -> FloatArray:
@@ -190,21 +190,21 @@ class CalibrationEffect:
         errors = self.errors
         S = moved.field
         left = S @ errors.distortion - moved.corrected + moved.readout * errors.readout_s
-        of_focal = errors.focal_rms * (moved.focal + S @ errors.distortion_shift_by_focal)
-        of_readout = errors.readout_sigma_s * (
+        focal_shift = errors.focal_rms * (moved.focal + S @ errors.distortion_shift_by_focal)
+        readout_shift = errors.readout_sigma_s * (
             moved.readout + S @ errors.distortion_shift_by_readout
         )
         moment: FloatArray = (
             S @ errors.distortion_cov @ S.T
             + np.outer(left, left)
-            + np.outer(of_focal, of_focal)
-            + np.outer(of_readout, of_readout)
+            + np.outer(focal_shift, focal_shift)
+            + np.outer(readout_shift, readout_shift)
         )
         return moment
 
 
-def _added_to_last(of_frames: FloatArray, more: FloatArray) -> FloatArray:
+def _added_to_last(frames: FloatArray, more: FloatArray) -> FloatArray:
     """Return values of K frames with something added to the last one's."""
-    added = of_frames.copy()
+    added = frames.copy()
     added[-1] += more
     return added

@@ -71,7 +71,7 @@ class WindowEstimator:
         self._loss = RobustLoss.named(config.solver.loss)
         self.adjustment = WindowAdjustment(camera, config)
 
-    def with_step(
+    def step(
         self,
         window: Window,
         step: SolvedTracks,
@@ -107,7 +107,7 @@ class WindowEstimator:
             window = replace(window, jitter_cov=calibrated.jitter_cov)
         features = self._features_of(step)
         if visual.status is not Status.OK or features is None:
-            return self._without_solve(
+            return self._add_unsolved_frame(
                 window,
                 step,
                 motion,
@@ -117,12 +117,12 @@ class WindowEstimator:
             )
         tracks, noise = features
         if intersection is not None:
-            noise = noise.scaled(intersection.of_features(visual.weights[visual.used]))
-        after = self.with_features(
-            inertial_steps.with_inflated_factor_if_refuted(window, motion),
+            noise = noise.scaled(intersection.feature_factors(visual.weights[visual.used]))
+        after = self.add_observed_frame(
+            inertial_steps.gate_prediction(window, motion),
             tracks,
             noise,
-            two_frames=motion,
+            motion=motion,
             measurements=measurements,
             motion_factor=None if intersection is None else intersection.motion,
             reacquired=reacquired,
@@ -141,7 +141,7 @@ class WindowEstimator:
         )
         return replace(after, calibration_effect=effect)
 
-    def _without_solve(
+    def _add_unsolved_frame(
         self,
         window: Window,
         step: SolvedTracks,
@@ -151,33 +151,35 @@ class WindowEstimator:
         intersection: CovarianceIntersection | None,
         measurements: Sequence[Measurement],
     ) -> Window:
-        """Return the window after a step without an accepted solve; see ``with_step``."""
+        """Return the window after a step without an accepted solve; see ``step``."""
         frame = motion.curr.frame
         # Features may show a part of the motion, and the velocity before the rest; at the start,
         # the prior of the motion model stands in for that.
         known = velocity or motion
-        two_frames = step.calibrated.visual.two_frames_only
+        pair_solution = step.calibrated.visual.two_frames_only
         is_partly_determined = step.calibrated.visual.is_partly_determined
         may_count = intersection is None and is_partly_determined
-        if may_count and two_frames is not None and known.prev_frame == step.prev:
-            weak = self._with_weak_features(
-                window, step, two_frames, known=known, measurements=measurements
+        if may_count and pair_solution is not None and known.prev_frame == step.prev:
+            weak = self._add_weakly_observed_frame(
+                window, step, pair_solution, known=known, measurements=measurements
             )
             if isinstance(weak, Window):
                 return weak
             if weak is not None:
                 measurements = [*measurements, weak]
         if velocity is None or intersection is not None:
-            return self.without_features(window, frame, motion, measurements)
+            return self.add_unobserved_frame(window, frame, motion, measurements)
         _, last_cov = window.relative(
             window.slot(velocity.prev.frame), window.slot(velocity.before.frame)
         )
         if not _has_seen_since(window, motion) or not np.isfinite(last_cov).all():
-            return self.without_features(window, frame, motion, measurements)
+            return self.add_unobserved_frame(window, frame, motion, measurements)
         # Since the frame where the dead reckoning starts, such features have shown more of the
         # velocity.
-        by_velocity = velocity.from_prev(window.values(), last_cov)
-        return self.without_features(window, frame, by_velocity, measurements, velocity=velocity)
+        velocity_motion = velocity.from_prev(window.values(), last_cov)
+        return self.add_unobserved_frame(
+            window, frame, velocity_motion, measurements, velocity=velocity
+        )
 
     def _features_of(self, step: SolvedTracks) -> tuple[Tracks, StereoNoise] | None:
         """Return the tracks of a solve as the window takes them, and their noise; None without a
@@ -196,13 +198,13 @@ class WindowEstimator:
             tracks = tracks.corrected_for_window(rig, self._camera)
         return tracks, noise
 
-    def with_features(
+    def add_observed_frame(
         self,
         window: Window,
         tracks: Tracks,
         noise: StereoNoise,
         *,
-        two_frames: RelativePose,
+        motion: RelativePose,
         measurements: Sequence[Measurement] = (),
         motion_factor: float | None = None,
         reacquired: SolvedTracks | None = None,
@@ -217,20 +219,20 @@ class WindowEstimator:
             tracks: N tracks between a frame of the window and the new one; corrected by the rig's
                 calibration, but not for b.
             noise: of these N tracks.
-            two_frames: the motion between these two frames by itself, with its covariance.
+            motion: between these two frames, as two frames have shown it.
             measurements: further measurements of the poses of the window. Those of this motion have
                 entered the solve of two frames.
-            motion_factor: factor of the covariance with which ``two_frames`` counts beside the
+            motion_factor: factor of the covariance with which ``motion`` counts beside the
                 features; None if it does not.
             reacquired: tracks from an earlier frame to the new one, which count beside these.
         """
-        prev = window.slot(two_frames.prev_frame)
-        frame = two_frames.curr.frame
+        prev = window.slot(motion.prev_frame)
+        frame = motion.curr.frame
         try:
-            extended = self.with_frame(
+            extended = self.extend(
                 window,
                 frame,
-                two_frames.T_curr_prev,
+                motion.T_curr_prev,
                 tracks,
                 noise,
                 prev=prev,
@@ -238,7 +240,7 @@ class WindowEstimator:
             )
             counted = list(measurements)
             if motion_factor is not None:
-                counted.append(two_frames.scaled(motion_factor))
+                counted.append(motion.scaled(motion_factor))
             adjusted = self.adjustment.adjusted(with_measurements(extended, counted))
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
@@ -246,25 +248,29 @@ class WindowEstimator:
             pass  # what no feature fixes makes the normal equations singular; so may be a scale
         # The solve of two frames has had the measurements of its motion. A corrected motion counts
         # even where the IMU knows it better.
-        variables = set(two_frames.variables)
-        of_motion = [one for one in measurements if set(one.variables) == variables]
-        others = [one for one in measurements if set(one.variables) != variables]
+        variables = set(motion.variables)
+        motion_measurements = [
+            measurement for measurement in measurements if set(measurement.variables) == variables
+        ]
+        others = [
+            measurement for measurement in measurements if set(measurement.variables) != variables
+        ]
         if motion_factor is not None:
-            others.append(two_frames)
-        return self.without_features(
+            others.append(motion)
+        return self.add_unobserved_frame(
             window,
             frame,
-            two_frames,
+            motion,
             others,
-            in_motion=of_motion,
+            motion_measurements=motion_measurements,
             motion_is_measured=motion_factor is not None,
         )
 
-    def _with_weak_features(
+    def _add_weakly_observed_frame(
         self,
         window: Window,
         step: SolvedTracks,
-        two_frames: ReprojectionSolution,
+        pair_solution: ReprojectionSolution,
         *,
         known: ConstantVelocity | RelativePose,
         measurements: Sequence[Measurement],
@@ -276,7 +282,7 @@ class WindowEstimator:
         Args:
             window: K frames.
             step: the tracks from the frame before the new one.
-            two_frames: the motion that they show by themselves.
+            pair_solution: the motion that these tracks show by themselves.
             known: constant velocity over the last two steps, or a motion between the same frames as
                 the tracks.
             measurements: further measurements of the poses of the window.
@@ -293,14 +299,14 @@ class WindowEstimator:
         # Start at the optimum of both: the tracks alone may be anywhere in the open direction, the
         # other alone so far off in all others that they look like outliers.
         expected = known.expected(window.values())
-        difference = se3.log(two_frames.T_curr_prev @ se3.inverse(expected))
-        both = two_frames.hessian + np.linalg.inv(known.covariance)
-        shift = np.linalg.solve(both, two_frames.hessian @ difference).astype(np.float64)
+        difference = se3.log(pair_solution.T_curr_prev @ se3.inverse(expected))
+        both = pair_solution.hessian + np.linalg.inv(known.covariance)
+        shift = np.linalg.solve(both, pair_solution.hessian @ difference).astype(np.float64)
         T_curr_prev = se3.exp(shift) @ expected
         prev = window.slot(step.prev)
         frame = known.curr.frame
         try:
-            extended = self.with_frame(window, frame, T_curr_prev, tracks, noise, prev=prev)
+            extended = self.extend(window, frame, T_curr_prev, tracks, noise, prev=prev)
             counted = list(measurements)
             if not extended.inertial.bridges_newest:
                 counted.append(known)
@@ -313,28 +319,31 @@ class WindowEstimator:
         disparity, variance = self.adjustment.disparities(adjusted, tracks.ids)
         known_cov = known.covariance[:3, :3]
         try:
-            if translation_signal(two_frames, disparity, variance, known=known_cov) >= MIN_SIGNAL:
+            if (
+                translation_signal(pair_solution, disparity, variance, known=known_cov)
+                >= MIN_SIGNAL
+            ):
                 return self._shortened(adjusted)
             return rotation_of_far_features(
                 StereoObservations.of(
                     tracks.prev_px, tracks.curr_px, noise, camera=self._camera, loss=self._loss
                 ),
                 known,
-                two_frames.T_curr_prev[:3, :3],
+                pair_solution.T_curr_prev[:3, :3],
                 expected=expected,
                 prev=pose_of(step.prev),
             )
         except np.linalg.LinAlgError:
             return None
 
-    def without_features(
+    def add_unobserved_frame(
         self,
         window: Window,
         frame: int,
         motion: RelativePose,
         measurements: Sequence[Measurement] = (),
         *,
-        in_motion: Sequence[Measurement] = (),
+        motion_measurements: Sequence[Measurement] = (),
         velocity: ConstantVelocity | None = None,
         motion_is_measured: bool = False,
     ) -> Window:
@@ -347,23 +356,23 @@ class WindowEstimator:
             frame: index of the new one.
             motion: measured between one of them and the new one, as by dead reckoning.
             measurements: further measurements of the poses of the window.
-            in_motion: measurements that the motion is estimated from, so that they count only where
-                it does not.
+            motion_measurements: measurements that the motion is estimated from, so that they count
+                only where it does not.
             velocity: what the motion is estimated from; it counts in place of the motion.
             motion_is_measured: whether the motion is one of these measurements, as a corrected one;
                 it must not count twice.
         """
         given = measurements
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
-        window = inertial_steps.without_factor_if_worse(window, motion)
+        window = inertial_steps.drop_weaker_factor(window, motion)
         # The motion by dead reckoning or IMU alone, before the sensors.
         reckoned = _bounded(inertial_steps.predicted_motion(window, frame) or motion)
         measurements, guess = reweighted_and_combined(reckoned, measurements, window)
         prev = window.slot(reckoned.prev_frame)
-        extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
+        extended = self.extend(window, frame, guess, Tracks.none(), none, prev=prev)
         if not motion_is_measured:
             if extended.inertial.bridges_newest:
-                measurements = [*measurements, *in_motion]
+                measurements = [*measurements, *motion_measurements]
             else:
                 measurements = [*measurements, velocity or _bounded(motion)]
         measured = with_measurements(extended, measurements)
@@ -376,19 +385,19 @@ class WindowEstimator:
                 raise
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
-        return self.without_features(
+        return self.add_unobserved_frame(
             left_out,
             frame,
             motion,
             given,
-            in_motion=in_motion,
+            motion_measurements=motion_measurements,
             velocity=velocity,
             motion_is_measured=motion_is_measured,
         )
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
-        started = inertial_steps.with_states_if_consistent(window, self._most_frames)
+        started = inertial_steps.initialize_states(window, self._most_frames)
         if not started.inertial.is_used or window.inertial.is_used:
             return started
         try:
@@ -426,7 +435,7 @@ class WindowEstimator:
         there. With an IMU that is used, they are frames like others.
         """
         window = replace(window, marginalized=())
-        window = inertial_steps.without_imu_if_untestable(window, self._most_frames)
+        window = inertial_steps.exclude_if_untestable(window, self._most_frames)
         limit = self._config.frames
         if not window.inertial.is_used:
             leaving = window.is_blind.copy()
@@ -439,7 +448,7 @@ class WindowEstimator:
             window = self.adjustment.without_oldest(window)
         return window
 
-    def with_frame(
+    def extend(
         self,
         window: Window,
         frame: int,
@@ -467,34 +476,27 @@ class WindowEstimator:
         extended = with_new_pose(window, frame, T_curr_prev, prev=prev)
         features = None if reacquired is None else self._features_of(reacquired)
         if reacquired is None or features is None:
-            return self._with_tracks(extended, tracks, noise, prev=prev)
+            return with_tracks(
+                extended, tracks, noise, prev=prev, camera=self._camera, loss=self._loss
+            )
         # A feature of both counts once, by its landmark in the earlier frame.
         reacquired_tracks, reacquired_noise = features
         earlier = ReacquiredFeatures(window.slot(reacquired.prev), reacquired_tracks.ids)
-        extended = self._with_tracks(extended, tracks, noise, prev=prev, reacquired=earlier)
+        extended = with_tracks(
+            extended,
+            tracks,
+            noise,
+            prev=prev,
+            reacquired=earlier,
+            camera=self._camera,
+            loss=self._loss,
+        )
         others = np.flatnonzero(~np.isin(reacquired_tracks.ids, tracks.ids))
-        return self._with_tracks(
+        return with_tracks(
             extended,
             reacquired_tracks.subset(others),
             reacquired_noise.subset(others),
             prev=earlier.slot,
-        )
-
-    def _with_tracks(
-        self,
-        window: Window,
-        tracks: Tracks,
-        noise: StereoNoise,
-        *,
-        prev: int,
-        reacquired: ReacquiredFeatures | None = None,
-    ) -> Window:
-        return with_tracks(
-            window,
-            tracks,
-            noise,
-            prev=prev,
-            reacquired=reacquired,
             camera=self._camera,
             loss=self._loss,
         )

@@ -78,7 +78,7 @@ class FieldVariation:
         cross[-1] += gain
         return FieldVariation(cov, cross)
 
-    def of_pose(self, slot: int, sigma_px: float) -> FloatArray:
+    def pose_cov(self, slot: int, sigma_px: float) -> FloatArray:
         """Return the covariance of a pose, [6, 6], with τ the standard deviation of the field."""
         cov: FloatArray = SHARE * sigma_px**2 * self.cov[slot]
         return cov

@@ -139,9 +139,9 @@ def inertial_system(
         hessians = weighted @ jacobian
         gradients = -(weighted @ residual[..., None])[..., 0]
         cost += 0.5 * float(np.einsum("fi,fij,fj->", residual, weight, residual))
-        for at, of_factor, descent in zip(present, hessians, gradients, strict=True):
+        for at, hessian_of_factor, descent in zip(present, hessians, gradients, strict=True):
             joint = _places(at, p)
-            hessian[np.ix_(joint, joint)] += of_factor
+            hessian[np.ix_(joint, joint)] += hessian_of_factor
             gradient[joint] += descent
     # The random walks of the biases connect successive frames, with or without samples between.
     variances = intervals.walk_variances[:num_pairs]
@@ -388,9 +388,9 @@ def _jacobians(
     inverse_left = np.linalg.inv(so3.left_jacobian(delta_phi))
     jacobian[:, rows_r, bias_i] = -inverse_left @ factors.bias_jacobian[:, rows_r]
     # δv has −C_i g T, and δp has −½ C_i g T².
-    by_gravity = C_i @ gravity_change
-    jacobian[:, rows_v, -GRAVITY:] = -dt * by_gravity
-    jacobian[:, rows_p, -GRAVITY:] = -0.5 * dt**2 * by_gravity
+    gravity_jacobian = C_i @ gravity_change
+    jacobian[:, rows_v, -GRAVITY:] = -dt * gravity_jacobian
+    jacobian[:, rows_p, -GRAVITY:] = -0.5 * dt**2 * gravity_jacobian
     return jacobian
 
 
@@ -437,7 +437,7 @@ def without_first_frame(
     # The rest is a prior of all that remains, of which the window holds the part of poses and rig.
     poses = slice(None, p - POSE)
     inertial = slice(p - POSE, None)
-    of_states = ~goes[p:]
+    remaining = ~goes[p:]
     kept = replace(
         states,
         velocity=states.velocity[1:],
@@ -446,7 +446,7 @@ def without_first_frame(
         coupling=rest[inertial, poses],
         information=rest[inertial, inertial],
         vector=rest_vector[inertial],
-        cov=states.cov[np.ix_(of_states, of_states)],
-        cross_cov=states.cross_cov[of_states, POSE:],
+        cov=states.cov[np.ix_(remaining, remaining)],
+        cross_cov=states.cross_cov[remaining, POSE:],
     )
     return MarginalPrior(rest[poses, poses], rest_vector[poses]), kept

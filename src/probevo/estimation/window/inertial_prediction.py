@@ -117,8 +117,10 @@ def _predicted_covariances(
     # The motion is the new pose less the last one: ξ = ξ_new − Ad(T) ξ_last.
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
-    by_noise = inverse[:POSE]
-    return _symmetric(relative @ cov @ relative.T), _symmetric(by_noise @ factor.cov @ by_noise.T)
+    noise_jacobian = inverse[:POSE]
+    return _symmetric(relative @ cov @ relative.T), _symmetric(
+        noise_jacobian @ factor.cov @ noise_jacobian.T
+    )
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -113,8 +113,8 @@ def fit_inertial_states(
     bias = np.zeros(6)
     gravity = np.array([0.0, GRAVITY_M_S2, 0.0])
     prior = np.zeros((size, size))
-    of_bias = 3 * count + np.arange(6)
-    prior[of_bias, of_bias] = 1.0 / bias_sigma**2
+    bias_columns = 3 * count + np.arange(6)
+    prior[bias_columns, bias_columns] = 1.0 / bias_sigma**2
     cov = np.zeros((size, size))
     squared = np.inf
     for _ in range(_PASSES):
@@ -122,16 +122,16 @@ def fit_inertial_states(
         states = at_start(velocity, bias, gravity, bias_sigma)
         residual, jacobian = linearized(covered, states, factors, pairs)
         rows = len(residual) * 9
-        by_pose = np.zeros((rows, POSE * count + RIG))
+        pose_design = np.zeros((rows, POSE * count + RIG))
         design = np.zeros((rows, size))
         noise = np.zeros((rows, rows))
         for at, factor in enumerate(factors):
             here = slice(9 * at, 9 * at + 9)
-            by_pose[here, POSE * at : POSE * (at + 2)] = jacobian[at, :, : 2 * POSE]
-            of_states = jacobian[at, :, 2 * POSE :]
-            design[here, 3 * at : 3 * at + 3] = of_states[:, :3]
-            design[here, 3 * at + 3 : 3 * at + 6] = of_states[:, STATE : STATE + 3]
-            design[here, of_bias] = of_states[:, 3:STATE]
+            pose_design[here, POSE * at : POSE * (at + 2)] = jacobian[at, :, : 2 * POSE]
+            state_jacobian = jacobian[at, :, 2 * POSE :]
+            design[here, 3 * at : 3 * at + 3] = state_jacobian[:, :3]
+            design[here, 3 * at + 3 : 3 * at + 6] = state_jacobian[:, STATE : STATE + 3]
+            design[here, bias_columns] = state_jacobian[:, 3:STATE]
             # ∂δv/∂g = −T C_i and ∂δp/∂g = −½ T² C_i.
             # Gravity is free here, in its length, too, and not only across itself.
             C_i = T_linear[at, :3, :3]
@@ -140,7 +140,7 @@ def fit_inertial_states(
             noise[here, here] = factor.cov
         # Whiten by the covariance of r, to which the poses contribute, scaled to a unit diagonal
         # since the units differ widely.
-        residual_cov = noise + by_pose @ pose_cov @ by_pose.T
+        residual_cov = noise + pose_design @ pose_cov @ pose_design.T
         variance = np.diagonal(residual_cov)
         if not (variance > 0.0).all():
             raise np.linalg.LinAlgError("the covariance of the poses is indefinite")
@@ -158,13 +158,13 @@ def fit_inertial_states(
         values = values + step
         squared = float(remaining @ remaining + values @ prior @ values)
         velocity = values[: 3 * count].reshape(-1, 3)
-        bias = values[of_bias]
+        bias = values[bias_columns]
         gravity = values[-3:]
     length = float(np.linalg.norm(gravity))
     along = gravity / max(length, 1e-9)
-    of_all = np.vstack([np.tile(velocity[0], (first, 1)), velocity])
+    all_velocities = np.vstack([np.tile(velocity[0], (first, 1)), velocity])
     return InertialFit(
-        states=at_start(of_all, bias, gravity, bias_sigma),
+        states=at_start(all_velocities, bias, gravity, bias_sigma),
         squared=squared,
         dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
         gravity_m_s2=length,

@@ -63,8 +63,8 @@ class InertialStates:
 
     def joint(self) -> FloatArray:
         """Return x, [2 + 9K]."""
-        of_frames = np.hstack([self.velocity, self.bias])
-        return np.concatenate([self.gravity_offset, of_frames.ravel()])
+        frame_states = np.hstack([self.velocity, self.bias])
+        return np.concatenate([self.gravity_offset, frame_states.ravel()])
 
 
 def across(vector: FloatArray) -> FloatArray:
@@ -91,8 +91,8 @@ def at_start(
     # Behind gravity, each frame has velocity [3] and biases [6]: those of the first frame are
     # at GRAVITY + 3 and after.
     information = np.zeros((size, size))
-    of_bias = GRAVITY + 3 + np.arange(6)
-    information[of_bias, of_bias] = 1.0 / bias_sigma**2
+    bias_indices = GRAVITY + 3 + np.arange(6)
+    information[bias_indices, bias_indices] = 1.0 / bias_sigma**2
     return InertialStates(
         velocity=velocity,
         velocity_linear=velocity,
@@ -135,8 +135,8 @@ def with_frame(states: InertialStates, velocity: FloatArray) -> InertialStates:
 
 def moved(states: InertialStates, step: FloatArray) -> InertialStates:
     """Return the states after a step of x, [2 + 9K]."""
-    of_frames = step[GRAVITY:].reshape(-1, STATE)
-    velocity = states.velocity + of_frames[:, :3]
+    frame_states = step[GRAVITY:].reshape(-1, STATE)
+    velocity = states.velocity + frame_states[:, :3]
     # First-estimates Jacobians: what the prior contains keeps its linearisation point.
     information = np.diagonal(states.information)
     is_fixed = information[GRAVITY::STATE] > 0.0
@@ -144,7 +144,7 @@ def moved(states: InertialStates, step: FloatArray) -> InertialStates:
         states,
         velocity=velocity,
         velocity_linear=np.where(is_fixed[:, None], states.velocity_linear, velocity),
-        bias=states.bias + of_frames[:, 3:],
+        bias=states.bias + frame_states[:, 3:],
         gravity_offset=states.gravity_offset + step[:GRAVITY],
     )
     # Gravity likewise: until the prior contains it, the linearisation point moves along, and δ is

@@ -76,7 +76,7 @@ UNKNOWN_VELOCITY = ImuReason(ImuFault.UNKNOWN_VELOCITY, "does not know its veloc
 """Why an IMU is not used where the motion is known better by other means."""
 
 
-def without_imu_if_untestable(window: Window, most_frames: int) -> Window:
+def exclude_if_untestable(window: Window, most_frames: int) -> Window:
     """Return the window without its IMU, for good, if it is too short to test it.
 
     Args:
@@ -89,7 +89,7 @@ def without_imu_if_untestable(window: Window, most_frames: int) -> Window:
     return without_imu(window, SHORT_WINDOW)
 
 
-def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
+def initialize_states(window: Window, most_frames: int = FRAMES_AT_START) -> Window:
     """Return the window with inertial states, if the IMU agrees with its poses.
 
     Args:
@@ -132,7 +132,7 @@ def with_states_if_consistent(window: Window, most_frames: int = FRAMES_AT_START
     return replace(window, inertial=replace(inertial, attempts=attempts, reason=reason))
 
 
-def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
+def preintegrate_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     """Return the window with what the IMU measured after its last frame.
 
     Args:
@@ -181,8 +181,8 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
 def _stamps_of(window: Window, prev: Frame, frame: Frame) -> dict[int, int]:
     """Return the time of each frame of the window and of the next one, by its index, ns."""
     known = window.inertial.stamps_ns
-    of_window = {index: known[index] for index in window.frames.tolist() if index in known}
-    return {**of_window, prev.index: prev.stamp_ns, frame.index: frame.stamp_ns}
+    window_stamps = {index: known[index] for index in window.frames.tolist() if index in known}
+    return {**window_stamps, prev.index: prev.stamp_ns, frame.index: frame.stamp_ns}
 
 
 def predicted_motion(window: Window, frame: int) -> RelativePose | None:
@@ -231,7 +231,7 @@ def marginalize_first_frame(
     return without_first_frame(inertial.states, others, system, x=x)
 
 
-def with_inflated_factor_if_refuted(window: Window, seen: RelativePose) -> Window:
+def gate_prediction(window: Window, seen: RelativePose) -> Window:
     """Return the window with a pending factor that counts for little, if the motion that the images
     show refutes it.
 
@@ -292,7 +292,7 @@ def _as_noisy_as(factor: Preintegration, error: FloatArray) -> Preintegration:
     return replace(factor, cov=max(1.0, too_large) * factor.cov)
 
 
-def without_factor_if_worse(window: Window, motion: RelativePose) -> Window:
+def drop_weaker_factor(window: Window, motion: RelativePose) -> Window:
     """Return the window without the pending factor, if that knows less of the next motion.
 
     So it is while the velocity is unknown, as after a step without samples.

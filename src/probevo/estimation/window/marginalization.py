@@ -31,9 +31,9 @@ the information about both is compared."""
 class PoseCovariance(NamedTuple):
     """The joint covariance of the poses of a window."""
 
-    in_world: FloatArray
+    world_cov: FloatArray
     """Of their perturbations, [6K, 6K]."""
-    of_motions: FloatArray
+    motion_cov: FloatArray
     """The same, as if the oldest pose was known where it is not: covariances of motions between
     poses follow from it without the rounding of the large variances that they have in common,
     [6K, 6K]."""
@@ -63,13 +63,13 @@ def pose_covariance(hessian: FloatArray) -> PoseCovariance:
     # shares of the information about the oldest pose that are not due to holding it.
     share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
     moved = inverse[:, :POSE] * root @ directions
-    of_position = moved / np.maximum(share, MIN_SHARE)
+    position_gain = moved / np.maximum(share, MIN_SHARE)
     is_known = share > POSITION_IS_UNKNOWN
-    in_world = inverse + of_position @ moved.T
+    world_cov = inverse + position_gain @ moved.T
     if is_known.all():
-        return PoseCovariance(in_world, in_world)
+        return PoseCovariance(world_cov, world_cov)
     return PoseCovariance(
-        in_world, of_motions=inverse + of_position[:, is_known] @ moved[:, is_known].T
+        world_cov, motion_cov=inverse + position_gain[:, is_known] @ moved[:, is_known].T
     )
 
 

@@ -96,12 +96,12 @@ def with_tracks(
     rows = window.rows_seen_last(tracks.ids, prev)
     is_in_prev = rows >= 0
     if reacquired is not None:
-        of_reacquired = np.where(
+        reacquired_rows = np.where(
             np.isin(tracks.ids, reacquired.ids),
             window.rows_seen_last(tracks.ids, reacquired.slot),
             -1,
         )
-        rows = np.where(is_in_prev, rows, of_reacquired)
+        rows = np.where(is_in_prev, rows, reacquired_rows)
     is_new = rows < 0
     rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
     if noise.refers_to == "residual":

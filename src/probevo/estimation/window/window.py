@@ -83,7 +83,7 @@ class Window:
     cov: FloatArray
     """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
     cov_of_motions: FloatArray
-    """The same for motions between the poses (``PoseCovariance.of_motions``)."""
+    """The same for motions between the poses (``PoseCovariance.motion_cov``)."""
     calibration_effect: CalibrationEffect
     """How errors of the calibration that the window does not estimate move its poses
     (Schmidt's consider term). ``cov`` is without it."""
@@ -190,13 +190,13 @@ class Window:
     def num_common_landmarks(self, frame: int, other: int) -> int:
         """Return how many landmarks two frames see, by their indices; 0 if one is not in the
         window."""
-        of_frame, of_other = (
+        landmarks_of_frame, landmarks_of_other = (
             self.landmark_rows[
                 np.isin(self.observations.slot, np.flatnonzero(self.frames == index))
             ]
             for index in (frame, other)
         )
-        return len(np.intersect1d(of_frame, of_other))
+        return len(np.intersect1d(landmarks_of_frame, landmarks_of_other))
 
     def has_common_landmarks(self, slot: int) -> bool:
         """Return whether a landmark is seen both from the frame in this slot and from the one
@@ -230,7 +230,7 @@ class Window:
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
-            cov=self.cov_given_calibration(slot) + self.calibration_effect.of_pose(slot),
+            cov=self.cov_given_calibration(slot) + self.calibration_effect.pose_cov(slot),
         )
 
     def cov_given_calibration(self, slot: int) -> FloatArray:
