@@ -7,7 +7,7 @@ from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig, SolverConfig
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import MIN_INLIERS, Consensus
+from probevo.estimation.ransac import MIN_INLIER_SHARE, Consensus
 from probevo.geometry import se3, so3
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.variables import MOTION
@@ -189,7 +189,7 @@ def test_with_the_gyro_s_rotation_one_point_fixes_a_motion() -> None:
 def test_enough_is_a_quarter_and_at_least_min_tracks(
     count: int, share: float, is_enough: bool
 ) -> None:
-    assert MIN_INLIERS == 0.25
+    assert MIN_INLIER_SHARE == 0.25
     inliers = np.arange(count) < round(share * count)
     assert are_enough(inliers, OdometryConfig()) is is_enough
     assert not are_enough(inliers, OdometryConfig(solver=SolverConfig(min_tracks=count)))

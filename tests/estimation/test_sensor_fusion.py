@@ -462,7 +462,7 @@ def test_a_sensor_surer_than_the_images_is_tested_too(estimator: str, offset_rad
     is_excluded = estimates[-1].sensors[0].state == "excluded"
     assert is_excluded == (offset_rad > 0.0)
     if not is_excluded:
-        assert all(one.sensors[0].squared is not None for one in estimates[1:])
+        assert all(one.sensors[0].mahalanobis_sq is not None for one in estimates[1:])
 
 
 @pytest.mark.parametrize("frames_ago", [1, 3])

@@ -28,7 +28,7 @@ from probevo.measurements.variables import Variable
 MIN_SIGNAL = 0.5
 """Share of the information on the translation that has to be signal for a window to use it. At one
 half, the window's standard deviation of the translation is too small by a factor of √2."""
-MIN_DISPARITY_PX = 1e-9
+INFINITY_DISPARITY_PX = 1e-9
 """Disparity below which a feature counts as one at infinity."""
 
 
@@ -55,7 +55,7 @@ def translation_signal(
     # Σ a Jᵀ Σ⁻¹ J of each feature, [N, 6, 6], for a disparity of one pixel; without any, the
     # columns of its translation are zero.
     refined = solution.refined[:, 2]
-    is_finite = np.abs(refined) > MIN_DISPARITY_PX
+    is_finite = np.abs(refined) > INFINITY_DISPARITY_PX
     jacobian = solution.jacobian.copy()
     jacobian[:, :, :3] /= np.where(is_finite, refined, np.inf)[:, None, None]
     weighted = solution.curvature[:, None, None] * (solution.information @ jacobian)

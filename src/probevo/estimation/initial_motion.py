@@ -8,7 +8,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import MIN_INLIERS, Consensus, InlierThreshold, find_consensus
+from probevo.estimation.ransac import MIN_INLIER_SHARE, Consensus, InlierThreshold, find_consensus
 from probevo.geometry import se3
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.tracking.tracks import Tracks
@@ -21,7 +21,7 @@ NEAR_DISPARITY_PX = 2.0
 
 def are_enough(inliers: BoolArray, config: OdometryConfig) -> bool:
     """Return whether these inliers of N tracks are enough for a solve."""
-    return bool(inliers.sum() >= max(config.solver.min_tracks, MIN_INLIERS * len(inliers)))
+    return bool(inliers.sum() >= max(config.solver.min_tracks, MIN_INLIER_SHARE * len(inliers)))
 
 
 def initial_motion(

@@ -35,7 +35,7 @@ class SensorOutcome:
     state: Literal["used", "gated", "silent", "excluded"]
     reason: str | None = None
     """Why it was silent, why it is reset, or why it is excluded."""
-    squared: float | None = None
+    mahalanobis_sq: float | None = None
     """Largest squared Mahalanobis distance of its innovations; None if none was tested."""
     weight: float = 0.0
     """Least weight of its measurements, 0 to 1."""

@@ -25,7 +25,7 @@ from probevo.tracking.tracks import Tracks
 
 INLIER_RATIO = 0.5
 """Share of inliers that is assumed at first, as in PROBE."""
-MIN_INLIERS = 0.25
+MIN_INLIER_SHARE = 0.25
 """Least share of inliers that is looked for; with fewer, no motion is accepted."""
 
 SAMPLE_ITERATIONS = 6
@@ -84,12 +84,13 @@ def _num_samples_needed(inliers: BoolArray, sample_size: int, confidence: float)
     """Return how many samples of points drawn at random contain one of different inliers only, with
     this confidence, where so many of N points are inliers.
 
-    Fewer than ``MIN_INLIERS`` are not looked for, and none among fewer points than a sample has.
+    Fewer than ``MIN_INLIER_SHARE`` are not looked for, and none among fewer points than a sample
+    has.
     """
     count = len(inliers)
     if count < sample_size:
         return 0
-    num_inliers = max(int(inliers.sum()), math.ceil(MIN_INLIERS * count), sample_size)
+    num_inliers = max(int(inliers.sum()), math.ceil(MIN_INLIER_SHARE * count), sample_size)
     # Of a few points, the same one is often drawn twice.
     probability = 1.0
     for k in range(sample_size):

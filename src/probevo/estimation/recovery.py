@@ -22,7 +22,7 @@ from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
+from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM, advance_cov
 
 FRAMES_OF_NOISE = 2.0
 """Number of frames over which the noise model holds for matches. Over more, their variance grows in
@@ -54,7 +54,7 @@ class DeadReckonedPath:
         return DeadReckonedPath(
             duration_s=self.duration_s + duration_s,
             T_prev_usable=motion.T_curr_prev @ self.T_prev_usable,
-            cov=self._grown(motion.T_curr_prev, motion.cov, motion.path_cross_cov),
+            cov=advance_cov(self.cov, motion.T_curr_prev, motion.cov, motion.path_cross_cov),
         )
 
     def predicted(
@@ -73,7 +73,7 @@ class DeadReckonedPath:
         before = se3.adjoint(T_curr_prev) @ path_sensitivity
         return MotionPrediction(
             T_curr_prev=T_curr_prev @ self.T_prev_usable,
-            cov=self._grown(T_curr_prev, prediction.cov, before @ velocity.T),
+            cov=advance_cov(self.cov, T_curr_prev, prediction.cov, before @ velocity.T),
             velocity_sensitivity=before + velocity,
         )
 
@@ -90,14 +90,6 @@ class DeadReckonedPath:
             cov=motion.cov + reckoned,
             path_cross_cov=motion.path_cross_cov - reckoned,
         )
-
-    def _grown(
-        self, T_curr_prev: FloatArray, cov: FloatArray, path_cross_cov: FloatArray
-    ) -> FloatArray:
-        # Σ ← Ad Σ Adᵀ + cov + X + Xᵀ, as of a path (docs/conventions.md).
-        adjoint = se3.adjoint(T_curr_prev)
-        grown: FloatArray = adjoint @ self.cov @ adjoint.T + cov + path_cross_cov + path_cross_cov.T
-        return grown
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ UNKNOWN_HEADING_RAD = 100.0
 class SensorInnovation(NamedTuple):
     """The squared innovation of a measurement, and its robust weight."""
 
-    squared: float | None
+    mahalanobis_sq: float | None
     """Squared Mahalanobis distance; None where it was not tested."""
     weight: float
     """Robust weight of the measurement; 0 if it is rejected."""
@@ -329,7 +329,10 @@ def _outcome(
     return SensorOutcome(
         name=memory.name,
         state="used" if max(weights) > 0.0 else "gated",
-        squared=max((one.squared for one in innovations if one.squared is not None), default=None),
+        mahalanobis_sq=max(
+            (one.mahalanobis_sq for one in innovations if one.mahalanobis_sq is not None),
+            default=None,
+        ),
         weight=min(weights),
     )
 
@@ -357,20 +360,20 @@ def _gated_update(
     for measurement in measurements:
         # All innovations are against the pose before any of these measurements. What fails the gate
         # is left out; a weight below one enlarges the covariance.
-        squared = _innovation_squared(pose_filter, measurement, pose)
-        if squared is None or not isinstance(measurement, VectorMeasurement):
+        mahalanobis_sq = _innovation_squared(pose_filter, measurement, pose)
+        if mahalanobis_sq is None or not isinstance(measurement, VectorMeasurement):
             outcome = measurement.outcome(pose_filter.values(pose))
             weight = float(outcome.weight.min(initial=1.0))
         else:
             dim = len(measurement.covariance)
-            weight = bounded_weight(squared, large_residual_threshold(dim))
-            if squared > chdtri(dim, GATE_TAIL):
+            weight = bounded_weight(mahalanobis_sq, large_residual_threshold(dim))
+            if mahalanobis_sq > chdtri(dim, GATE_TAIL):
                 weight = 0.0
             else:
                 measurement = measurement.scaled(1.0 / weight)
         if weight > 0.0:
             kept.append(measurement)
-        innovations.append(SensorInnovation(squared, weight))
+        innovations.append(SensorInnovation(mahalanobis_sq, weight))
     return _GatedUpdate(pose_filter.updated(kept, pose), tuple(innovations))
 
 
@@ -521,9 +524,9 @@ def _suspects(
         # exceeded.
         offset = values[variable]
         cov = memory.with_offset.joint_cov[at, at]
-        squared = float(squared_mahalanobis(offset, cov))
+        mahalanobis_sq = float(squared_mahalanobis(offset, cov))
         claimed = float(squared_mahalanobis(offset, measurement.covariance))
-        ratio = squared / float(chdtri(len(offset), OFFSET_TAIL))
+        ratio = mahalanobis_sq / float(chdtri(len(offset), OFFSET_TAIL))
         if ratio > 1.0 and claimed > 1.0:
             size = float(np.linalg.norm(offset))
             found.append(_Suspect(sensor, ratio, f"a constant offset of {size:.2g} (rad or m)"))
@@ -540,11 +543,11 @@ def _sum_above(
     # Innovations of any dimension are compared by their tail probability, on the scale of χ²(2).
     total = before
     for measurement, innovation in zip(measurements, innovations, strict=True):
-        if innovation.squared is None or not isinstance(measurement, VectorMeasurement):
+        if innovation.mahalanobis_sq is None or not isinstance(measurement, VectorMeasurement):
             continue
         # −2 ln p of a uniformly distributed p is χ²(2) distributed.
         dim = len(measurement.covariance)
-        rarity = max(float(chdtrc(dim, innovation.squared)), 1e-300)
+        rarity = max(float(chdtrc(dim, innovation.mahalanobis_sq)), 1e-300)
         total = max(0.0, total + min(-2.0 * math.log(rarity), CUSUM_LARGEST_TERM) - CUSUM_ALLOWANCE)
     return total
 
@@ -597,9 +600,9 @@ def _reckoned_innovation(
         return SensorInnovation(None, 1.0)
     values = {variable: np.eye(4) for variable in measurement.variables}
     values[curr] = reckoned.T_curr_prev
-    squared = measurement.innovation_squared(values, reckoned.cov, of=curr)
+    mahalanobis_sq = measurement.innovation_squared(values, reckoned.cov, of=curr)
     threshold = large_residual_threshold(len(measurement.covariance))
-    return SensorInnovation(squared, bounded_weight(squared, threshold))
+    return SensorInnovation(mahalanobis_sq, bounded_weight(mahalanobis_sq, threshold))
 
 
 def motion_innovations(
@@ -648,6 +651,6 @@ def motion_innovations(
         # Tested with its own covariance R, not with that over the weight.
         rig_error = jacobian @ common_mode
         innovation_cov = R + spread + rig_error @ rig_error.T
-        squared = float(squared_mahalanobis(innovation, innovation_cov))
-        found[-1] = SensorInnovation(squared, weight)
+        mahalanobis_sq = float(squared_mahalanobis(innovation, innovation_cov))
+        found[-1] = SensorInnovation(mahalanobis_sq, weight)
     return found

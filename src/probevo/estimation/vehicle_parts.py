@@ -18,7 +18,7 @@ import numpy as np
 from probevo.arrays import IntArray, rows_of
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.ransac import MIN_INLIERS, InlierThreshold, find_consensus
+from probevo.estimation.ransac import MIN_INLIER_SHARE, InlierThreshold, find_consensus
 from probevo.estimation.rival_motion import (
     AGAINST_FACTOR,
     CONFIDENCE,
@@ -37,7 +37,7 @@ move its features by more than they may be off."""
 def many_stay(used: Tracks) -> bool:
     """Return whether so many of the tracks that a solve has used stay where they are that RANSAC
     would accept these alone."""
-    return bool(len(used)) and float(are_still(used).mean()) >= MIN_INLIERS
+    return bool(len(used)) and float(are_still(used).mean()) >= MIN_INLIER_SHARE
 
 
 def fixed_to_vehicle(

@@ -13,6 +13,7 @@ from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation import levenberg_marquardt
+from probevo.estimation.determined import is_determined
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
@@ -702,15 +703,7 @@ def evaluate_status(
         fewest: least number of inliers that do not agree by chance.
         config: settings of the solver.
     """
-    if not np.isfinite(solution.cov).all():
-        return Status.DEGENERATE
-    # The largest eigenvalue, not a diagonal entry: the unobservable direction need not be an axis.
-    translation_sigma_m = np.sqrt(np.linalg.eigvalsh(solution.cov[:3, :3])[-1])
-    rotation_sigma_rad = np.sqrt(np.linalg.eigvalsh(solution.cov[3:, 3:])[-1])
-    if (
-        translation_sigma_m > config.solver.max_translation_sigma_m
-        or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
-    ):
+    if not is_determined(solution.cov, config.solver):
         return Status.DEGENERATE
     if num_inliers(weights) < fewest:
         return Status.TOO_FEW_TRACKS

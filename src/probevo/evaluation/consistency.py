@@ -17,7 +17,11 @@ from scipy.special import bdtr, bdtrik, chdtr, chdtri, fdtr
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import normalized_error_squared, squared_mahalanobis
+from probevo.geometry.uncertainty import (
+    advance_cov,
+    normalized_error_squared,
+    squared_mahalanobis,
+)
 
 if TYPE_CHECKING:
     from probevo.noise import StereoNoise
@@ -152,21 +156,14 @@ def drift_covariances(
         Covariance of the left perturbation of T_cam_world, in the frame of each camera, [N, 6, 6];
         0 at the first.
     """
-    adjoints = se3.adjoint(T_curr_prev)
     # B and P of the first pose are 0: it defines the world frame.
     common = np.zeros(common_mode.shape[1:])
     rest = np.zeros((6, 6))
     drift = np.zeros((len(cov) + 1, 6, 6))
     # The recursion of the docstring; drift[k + 1] is the covariance of the pose after motion k.
-    for k, (cov_k, common_k) in enumerate(zip(cov, common_mode, strict=True)):
-        common = common_k + adjoints[k] @ common
-        rest = (
-            adjoints[k] @ rest @ adjoints[k].T
-            + cov_k
-            - common_k @ common_k.T
-            + path_cross_cov[k]
-            + path_cross_cov[k].T
-        )
+    for k, (T_k, cov_k, common_k) in enumerate(zip(T_curr_prev, cov, common_mode, strict=True)):
+        common = common_k + se3.adjoint(T_k) @ common
+        rest = advance_cov(rest, T_k, cov_k - common_k @ common_k.T, path_cross_cov[k])
         drift[k + 1] = rest + common @ common.T
     return drift
 

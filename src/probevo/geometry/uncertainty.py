@@ -77,6 +77,24 @@ def compound_chain(
     return T_world_cam, cov_world_cam
 
 
+def advance_cov(
+    cov_path: FloatArray, T_curr_prev: FloatArray, cov: FloatArray, path_cross_cov: FloatArray
+) -> FloatArray:
+    """Return the covariance of a path after one more motion, [6, 6]: Ad Σ Adᵀ + cov + X + Xᵀ.
+
+    It is that of the left perturbation of the motion along the path, in the frame at its end.
+
+    Args:
+        cov_path: Σ, the covariance before the motion, [6, 6].
+        T_curr_prev: the motion, [4, 4].
+        cov: its covariance, [6, 6].
+        path_cross_cov: X, the cross-covariance of the path's error, along the axes after the
+            motion, with that of the motion, [6, 6].
+    """
+    moved = _rotate_covariance(se3.adjoint(T_curr_prev), cov_path)
+    return moved + cov + path_cross_cov + path_cross_cov.T
+
+
 def normalized_error_squared(
     T_true: FloatArray, T_estimated: FloatArray, cov: FloatArray
 ) -> FloatArray:

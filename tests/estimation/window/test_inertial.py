@@ -470,13 +470,13 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change, window_f
 def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
     """χ² of 6.25 per degree of freedom is that of 2.5 times the standard deviation."""
     fit = InertialFit(
-        states_of(run[2]), squared=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
+        states_of(run[2]), chi2=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
     )
     noisy = fit.reason_against(4.0)
     assert noisy is not None
     assert "noise densities at least 2.5 times as large" in noisy.text
     assert fit.reason_against(7.0) is None
-    wrong = replace(fit, squared=1e6).reason_against(4.0)
+    wrong = replace(fit, chi2=1e6).reason_against(4.0)
     assert wrong is not None
     assert wrong.fault is noisy.fault is ImuFault.CONTRADICTION
     assert "noise densities" not in wrong.text

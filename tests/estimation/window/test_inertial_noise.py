@@ -52,7 +52,7 @@ def test_noise_factor_is_found_from_many_innovations() -> None:
 
 
 def test_noise_factor_is_at_least_that_of_the_data_sheet() -> None:
-    small = InertialInnovation(squared=np.full(6, 0.1 * MEDIAN_SQUARED / 6.0), noise=np.ones(6))
+    small = InertialInnovation(whitened_sq=np.full(6, 0.1 * MEDIAN_SQUARED / 6.0), noise=np.ones(6))
     assert estimated_noise_factor([small], largest=16.0) == 1.0
 
 
@@ -71,7 +71,7 @@ def test_innovation_that_cannot_be_computed_is_infinite(damage: str) -> None:
         others = others - 2.0 * np.trace(others) * np.eye(6)
     unknown = innovation_of(difference, others, samples)
     assert unknown.squared_distance(1.0) == np.inf
-    known = InertialInnovation(squared=np.full(6, MEDIAN_SQUARED / 6.0), noise=np.zeros(6))
+    known = InertialInnovation(whitened_sq=np.full(6, MEDIAN_SQUARED / 6.0), noise=np.zeros(6))
     assert median_excess([unknown, known, known], 1.0) == pytest.approx(1.0)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.estimation.determined import is_determined
 from probevo.estimation.far_features import (
     MIN_SIGNAL,
     rotation_of_far_features,
@@ -413,19 +414,9 @@ class WindowEstimator:
     def _fixes_newest(self, window: Window, prev: int) -> bool:
         """Return whether the motion from a frame to the newest is known as well as one of two
         frames has to be."""
-        # Of the motion: the covariance of a pose in the world grows along the path.
+        # The motion, not the pose: the covariance of a pose in the world grows along the path.
         _, cov = window.relative(len(window) - 1, prev)
-        if not np.isfinite(cov).all():
-            return False
-        # Eigenvalues, not the diagonal: the direction that is not known may lie across the axes.
-        translation = np.linalg.eigvalsh(cov[:3, :3])
-        rotation = np.linalg.eigvalsh(cov[3:, 3:])
-        return bool(
-            translation[0] > 0.0
-            and rotation[0] > 0.0
-            and translation[-1] < self._solver.max_translation_sigma_m**2
-            and rotation[-1] < self._solver.max_rotation_sigma_rad**2
-        )
+        return is_determined(cov, self._solver)
 
     def _shortened(self, window: Window) -> Window:
         """Return the window with no more frames than the settings say.

@@ -28,14 +28,14 @@ ACCURACY = 1e-3
 class InertialInnovation:
     """How far a predicted motion was off, along six axes in which both covariances are diagonal."""
 
-    squared: FloatArray
+    whitened_sq: FloatArray
     """Squared differences over the variances of images and states, [6]."""
     noise: FloatArray
     """Variances of the samples' noise over those of images and states, [6]."""
 
     def squared_distance(self, noise_factor: float) -> float:
         """Return the squared Mahalanobis distance, with the samples' variances times a factor."""
-        return float((self.squared / (1.0 + noise_factor * self.noise)).sum())
+        return float((self.whitened_sq / (1.0 + noise_factor * self.noise)).sum())
 
 
 def innovation_of(
@@ -48,23 +48,23 @@ def innovation_of(
         cov_of_others: of the images and of the states that the prediction starts from, [6, 6].
         cov_of_samples: of the noise of the samples, by the data sheet, [6, 6].
     """
-    unknown = InertialInnovation(squared=np.full(6, np.inf), noise=np.zeros(6))
+    unknown = InertialInnovation(whitened_sq=np.full(6, np.inf), noise=np.zeros(6))
     # V with Vᵀ A V = I and Vᵀ B V = diag(λ): νᵀ (A + k B)⁻¹ ν = Σ (Vᵀν)² / (1 + k λ).
     try:
         noise, axes = scipy.linalg.eigh(cov_of_samples, cov_of_others)
     except (np.linalg.LinAlgError, ValueError):
         # NaN; or covariances so large, after a long blackout, that rounding makes them indefinite.
         return unknown
-    squared = (axes.T @ difference) ** 2
-    if not np.isfinite(squared).all():
+    whitened_sq = (axes.T @ difference) ** 2
+    if not np.isfinite(whitened_sq).all():
         return unknown
-    return InertialInnovation(squared, np.maximum(noise, 0.0))
+    return InertialInnovation(whitened_sq, np.maximum(noise, 0.0))
 
 
 def median_excess(innovations: Sequence[InertialInnovation], noise_factor: float) -> float:
     """Return by how much covariances with this noise factor are still too small in the median."""
-    squared, noise = _stacked(innovations)
-    return _median_excess(squared, noise, noise_factor)
+    whitened_sq, noise = _stacked(innovations)
+    return _median_excess(whitened_sq, noise, noise_factor)
 
 
 def estimated_noise_factor(innovations: Sequence[InertialInnovation], *, largest: float) -> float:
@@ -76,11 +76,11 @@ def estimated_noise_factor(innovations: Sequence[InertialInnovation], *, largest
         innovations: of the last predictions.
         largest: upper bound; the lower one is 1, the data sheet.
     """
-    squared, noise = _stacked(innovations)
+    whitened_sq, noise = _stacked(innovations)
 
     def surplus(noise_factor: float) -> float:
         """Return by how much the median is too large; it falls with the factor."""
-        return _median_excess(squared, noise, noise_factor) - 1.0
+        return _median_excess(whitened_sq, noise, noise_factor) - 1.0
 
     if surplus(1.0) <= 0.0:
         return 1.0
@@ -91,12 +91,12 @@ def estimated_noise_factor(innovations: Sequence[InertialInnovation], *, largest
 
 def _stacked(innovations: Sequence[InertialInnovation]) -> tuple[FloatArray, FloatArray]:
     """Return squared differences and noise of T innovations, [T, 6] each."""
-    squared = np.array([innovation.squared for innovation in innovations])
+    whitened_sq = np.array([innovation.whitened_sq for innovation in innovations])
     noise = np.array([innovation.noise for innovation in innovations])
-    return squared, noise
+    return whitened_sq, noise
 
 
-def _median_excess(squared: FloatArray, noise: FloatArray, noise_factor: float) -> float:
+def _median_excess(whitened_sq: FloatArray, noise: FloatArray, noise_factor: float) -> float:
     """Return the median of squared distances over that of χ²."""
-    distances = (squared / (1.0 + noise_factor * noise)).sum(axis=1)
+    distances = (whitened_sq / (1.0 + noise_factor * noise)).sum(axis=1)
     return float(np.median(distances)) / MEDIAN_SQUARED

@@ -40,7 +40,7 @@ class InertialFit:
 
     states: InertialStates
     """With the prior of the first frame's biases."""
-    squared: float
+    chi2: float
     """χ² of the residuals that remain."""
     dof: int
     gravity_m_s2: float
@@ -51,16 +51,16 @@ class InertialFit:
     @property
     def excess(self) -> float:
         """χ² over its degrees of freedom: 1 if calibration and noise are right."""
-        return self.squared / self.dof
+        return self.chi2 / self.dof
 
     def reason_against(self, largest_excess: float) -> ImuReason | None:
         """Return what contradicts the images; None if they agree."""
-        if not np.isfinite(self.squared):
+        if not np.isfinite(self.chi2):
             text = "fits the images with no finite residual"
             return ImuReason(ImuFault.NO_FINITE_RESIDUAL, text)
         if self.excess > largest_excess:
             text = (
-                f"contradicts the images: χ² is {self.squared:.0f} for {self.dof} degrees of"
+                f"contradicts the images: χ² is {self.chi2:.0f} for {self.dof} degrees of"
                 " freedom; check the mounting, the clock, the units and the noise of the IMU"
             )
             # At least, since the poses have a share in the covariance of the residuals, too.
@@ -116,7 +116,7 @@ def fit_inertial_states(
     bias_columns = 3 * count + np.arange(6)
     prior[bias_columns, bias_columns] = 1.0 / bias_sigma**2
     cov = np.zeros((size, size))
-    squared = np.inf
+    chi2 = np.inf
     for _ in range(_PASSES):
         # Stack the factors: residuals r, and their derivatives by the poses and by the unknowns.
         states = at_start(velocity, bias, gravity, bias_sigma)
@@ -156,7 +156,7 @@ def fit_inertial_states(
         step = -cov @ (white_design.T @ white_residual + prior @ values)
         remaining = white_residual + white_design @ step
         values = values + step
-        squared = float(remaining @ remaining + values @ prior @ values)
+        chi2 = float(remaining @ remaining + values @ prior @ values)
         velocity = values[: 3 * count].reshape(-1, 3)
         bias = values[bias_columns]
         gravity = values[-3:]
@@ -165,7 +165,7 @@ def fit_inertial_states(
     all_velocities = np.vstack([np.tile(velocity[0], (first, 1)), velocity])
     return InertialFit(
         states=at_start(all_velocities, bias, gravity, bias_sigma),
-        squared=squared,
+        chi2=chi2,
         dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
         gravity_m_s2=length,
         gravity_sigma_m_s2=float(np.sqrt(along @ cov[-3:, -3:] @ along)),

@@ -232,12 +232,13 @@ def marginalize_first_frame(
 
 
 def gate_prediction(window: Window, seen: RelativePose) -> Window:
-    """Return the window with a pending factor that counts for little, if the motion that the images
-    show refutes it.
+    """Test the motion that the IMU predicts against the one that the images show.
 
-    Its covariance grows by as much as explains by itself how far it is off. Without any factor, the
-    velocity would not be known after this frame, nor the motion through a blackout that begins
-    there.
+    The innovation is recorded, and the noise of the samples estimated anew from all of them. Beyond
+    the gate, the pending factor counts for little: its covariance grows by as much as explains by
+    itself how far it is off. (Without any factor, the velocity would not be known after this frame,
+    nor the motion through a blackout that begins there.) If the gate has failed ``MAX_GATED``
+    times, or the median innovation is too large, the IMU is left out for good.
 
     Args:
         window: K frames, with what the IMU measured since.
