@@ -193,7 +193,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
 
     from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
-    from probevo.output.domain import domain_text
+    from probevo.output.domain_warning import domain_text
     from probevo.output.run_facts import (
         delay_text,
         focal_text,

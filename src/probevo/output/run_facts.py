@@ -15,7 +15,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.measurements.imu_reason import ImuFault
-from probevo.output.domain import domain_text
+from probevo.output.domain_warning import domain_text
 from probevo.output.run_result import STEPS_WITHOUT_IMU, RunResult
 from probevo.output.table import readable
 from probevo.run_config import RunConfig

@@ -12,7 +12,7 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
-from probevo.output.domain import domain_warning
+from probevo.output.domain_warning import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
 from probevo.tracking.fixed_features import MIN_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
-from probevo.output.domain import WARN_ABOVE
+from probevo.output.domain_warning import WARN_ABOVE
 from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
