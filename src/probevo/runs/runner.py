@@ -221,9 +221,9 @@ class _Records:
     pictures: _Pictures
     smoothed: SmoothedPath
     timing: PairTiming
-    """Whether left and right images belong to the same frames."""
+    """Test whether left and right images belong to the same frames."""
     motions_of_images: Rows
-    """Those of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
+    """Motions of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
     fixed: FixedFeatureCount
     """Features that do not move with the scene."""
     heights: GroundHeights
