@@ -479,7 +479,7 @@ def calibration_seeds() -> tuple[Seed, ...]:
 
 def pose_seeds() -> tuple[Seed, ...]:
     """Write a path in both formats."""
-    from probevo.output.files import write_kitti_poses, write_tum
+    from probevo.sequences.pose_files import write_kitti_poses, write_tum
 
     T = tiny.poses(30)
     with tempfile.TemporaryDirectory(prefix="fuzz-") as name:

@@ -14,7 +14,7 @@ from probevo.config import OdometryConfig
 from probevo.nets.correction_training import train_correction
 from probevo.network_settings import NetworkSettings
 from probevo.output.comparison.comparison_files import write_csv
-from probevo.output.files import write_json
+from probevo.output.json_file import write_json
 from probevo.sequences.base import Sequence
 from probevo.storage.files import write_atomically
 from probevo_paper.command_steps import render

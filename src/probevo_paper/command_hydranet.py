@@ -14,7 +14,7 @@ from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
 from probevo.nets.extra import require_nets
 from probevo.output.comparison.comparison_files import write_csv
-from probevo.output.files import write_json
+from probevo.output.json_file import write_json
 from probevo.storage.files import write_atomically
 from probevo_paper.hydranet_config import HydranetConfig
 

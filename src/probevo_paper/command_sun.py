@@ -9,7 +9,7 @@ from pathlib import Path
 
 from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
-from probevo.output.files import write_json
+from probevo.output.json_file import write_json
 from probevo.storage.files import write_atomically
 from probevo_paper.sun import (
     FAULTS,

@@ -8,7 +8,7 @@ from pathlib import Path
 from probevo import __version__
 from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.comparison.comparison_files import flat_record, record, write_csv
-from probevo.output.files import write_json
+from probevo.output.json_file import write_json
 from probevo.output.trial_table import TrialTable, trials_latex
 from probevo.storage.files import write_atomically
 

@@ -12,11 +12,10 @@ from probevo.cli.main import main
 from probevo.geometry import se3
 from probevo.measurements import PosePrior
 from probevo.measurements.variables import pose_of
-from probevo.output.files import write_kitti_poses, write_tum
 from probevo.output.motions_file import read_motions
 from probevo.runs.runner import run_sequence
 from probevo.sequences import Frame, open_sequence
-from probevo.sequences.pose_files import read_tum
+from probevo.sequences.pose_files import read_tum, write_kitti_poses, write_tum
 from probevo.sequences.poses import interpolate_poses
 
 

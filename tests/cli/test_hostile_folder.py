@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probevo.output.files import write_tum
+from probevo.sequences.pose_files import write_tum
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import simulate_points, write_points
 

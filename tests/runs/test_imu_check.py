@@ -33,13 +33,14 @@ def drive(size: float = 1.0) -> tuple[ImageRotations, ImuStream]:
     unbiased = replace(stream, gyro_rad_s=stream.gyro_rad_s - BIAS_RAD_S)
     nothing = ImageRotations(between_ns, np.zeros((len(between_ns), 3)))
     return ImageRotations(
-        between_ns, nothing.by_gyro(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0))
+        between_ns,
+        nothing.gyro_rotation_rad(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0)),
     ), stream
 
 
 def frames_of(images: ImageRotations) -> np.ndarray:
     """Return the stamps of all frames, ns."""
-    return np.append(images.between_ns[:, 0], images.between_ns[-1, 1])
+    return np.append(images.frame_stamps_ns[:, 0], images.frame_stamps_ns[-1, 1])
 
 
 def test_a_gyro_that_agrees_with_the_images_raises_no_warning() -> None:
@@ -81,7 +82,7 @@ def test_mistakes_are_named(
 def test_with_little_rotation_or_few_steps_there_is_no_warning() -> None:
     images, stream = drive(SLOW)
     assert imu_warning(images, replace(stream, gyro_rad_s=-stream.gyro_rad_s), CALIBRATION) == ""
-    few = ImageRotations(images.between_ns[:5], images.rotation_rad[:5])
+    few = ImageRotations(images.frame_stamps_ns[:5], images.rotation_rad[:5])
     assert imu_warning(few, stream, CALIBRATION) == ""
 
 

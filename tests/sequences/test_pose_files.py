@@ -7,8 +7,7 @@ import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.output.files import write_kitti_poses, write_tum
-from probevo.sequences.pose_files import read_kitti_poses, read_tum
+from probevo.sequences.pose_files import read_kitti_poses, read_tum, write_kitti_poses, write_tum
 
 
 @pytest.fixture
@@ -38,6 +37,22 @@ def test_tum_keeps_stamps_exactly_and_poses_to_rounding(
     np.testing.assert_array_equal(read_ns, stamps_ns)
     np.testing.assert_array_equal(read_T[:, :3, 3], T_world_cam[:, :3, 3])
     np.testing.assert_allclose(read_T, T_world_cam, atol=1e-15, rtol=0)
+
+
+def test_tum_line(tmp_path: Path) -> None:
+    """The stamp has nine decimals, the quaternion ends with its scalar."""
+    write_tum(tmp_path / "t.tum", np.array([1_000_000_001]), np.eye(4)[None])
+    assert (tmp_path / "t.tum").read_text() == "1.000000001 0.0 0.0 0.0 0.0 0.0 0.0 1.0\n"
+
+
+def test_evo_reads_tum(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    write_tum(tmp_path / "t.tum", np.arange(40) * 10**8, T_world_cam)
+    np.testing.assert_allclose(
+        file_interface.read_tum_trajectory_file(tmp_path / "t.tum").poses_se3,
+        T_world_cam,
+        atol=1e-12,
+    )
 
 
 def test_comments_blank_lines_and_scientific_stamps_are_read(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES = 300
 NOTICEABLE_PX = 0.05
-"""What the lenses' distortion has to leave to be mentioned."""
+"""Smallest remaining distortion of the lenses that is mentioned."""
 
 
 @dataclass(frozen=True)
@@ -62,32 +62,32 @@ def main(words: list[str]) -> None:
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     print_reader_warnings(sequence)
     say_if_compiling()
-    found = check_calibration(sequence, arguments.max_frames)
-    print("\n".join(report_lines(sequence.path, found)), flush=True)
+    check = check_calibration(sequence, arguments.max_frames)
+    print("\n".join(report_lines(sequence.path, check)), flush=True)
     if arguments.out is not None:
         from probevo.evaluation.calibration_quantities import largest_z
         from probevo.output.calibration_picture import write_calibration_picture
 
         write_calibration_picture(
             arguments.out,
-            found.rig,
-            found.quantities,
-            marked=found.marked,
+            check.rig,
+            check.quantities,
+            marked=check.marked,
             camera=sequence.camera,
-            largest_z=largest_z(len(found.quantities)),
+            largest_z=largest_z(len(check.quantities)),
         )
         print(f"picture: {arguments.out}", flush=True)
 
 
-def report_lines(recording: Path, found: CalibrationCheck) -> list[str]:
+def report_lines(recording: Path, check: CalibrationCheck) -> list[str]:
     """Say what a recording tells of its calibration: a table, how to mend what is marked, and
     notes."""
     from probevo.evaluation.calibration_quantities import SELF_CALIBRATED
 
-    marked = found.marked
-    cells = [quantity.texts(is_marked=quantity in marked) for quantity in found.quantities]
+    marked = check.marked
+    cells = [quantity.texts(is_marked=quantity in marked) for quantity in check.quantities]
     lines = [
-        f"recording: {recording}, {found.num_frames} frames, {found.num_solved} solved",
+        f"recording: {recording}, {check.num_frames} frames, {check.num_solved} solved",
         "",
         *table(("quantity", "value", "σ", "unit", "z"), cells).splitlines(),
         "z: the distance from zero in σ, reduced where σ is itself uncertain.",
@@ -98,36 +98,36 @@ def report_lines(recording: Path, found: CalibrationCheck) -> list[str]:
         lines.append(SELF_CALIBRATED)
     if not marked:
         lines.append("Nothing is further from zero than chance would have it.")
-    return [*lines, *_imu_notes(found), *_camera_notes(found)]
+    return [*lines, *_imu_notes(check), *_camera_notes(check)]
 
 
-def _imu_notes(found: CalibrationCheck) -> list[str]:
-    if not found.has_imu:
+def _imu_notes(check: CalibrationCheck) -> list[str]:
+    if not check.has_imu:
         return ["IMU: none whose samples are read at their own rate."]
-    if found.C_cam_imu is None:
+    if check.C_cam_imu is None:
         return ["IMU: its samples cover too few solved steps."]
-    if not any(quantity.name.startswith("gyro, mounting") for quantity in found.marked):
+    if not any(quantity.name.startswith("gyro, mounting") for quantity in check.marked):
         return []
-    matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in found.C_cam_imu)
+    matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in check.C_cam_imu)
     return [f"The rotation in T_cam_imu that agrees with the images: {matrix}."]
 
 
-def _camera_notes(found: CalibrationCheck) -> list[str]:
+def _camera_notes(check: CalibrationCheck) -> list[str]:
     """Say what the lenses do, whether anything tells the scale, and how high the camera is."""
     from probevo.camera.distortion_field import root_mean_square_px
 
     notes = []
-    common_px, disparity_px = root_mean_square_px(found.rig.image.distortion)
+    common_px, disparity_px = root_mean_square_px(check.rig.image.distortion)
     if max(common_px, disparity_px) > NOTICEABLE_PX:
         notes.append(
             f"Lenses: they move both views of a point by {common_px:.2f} px, and disparities by"
             f" {disparity_px:.2f} px beyond the bend above (rms over the image). This is corrected."
         )
-    if not any(quantity.name.startswith("scale") for quantity in found.quantities):
+    if not any(quantity.name.startswith("scale") for quantity in check.quantities):
         notes.append("Scale: neither true poses nor an accelerometer tell it.")
-    if found.height is not None:
+    if check.height is not None:
         notes.append(
-            f"Height: the left camera is {found.height.height_m:.3f} ± {found.height.sigma_m:.3f} m"
+            f"Height: the left camera is {check.height.height_m:.3f} ± {check.height.sigma_m:.3f} m"
             " above the ground that it drives over. Measure it: if that is wrong, baseline_m is"
             " wrong by the same factor."
         )

@@ -313,7 +313,7 @@ def _write(out: Path, comparison: Comparison) -> None:
         write_csv,
     )
     from probevo.output.comparison.comparison_page import write_comparison
-    from probevo.output.files import write_json
+    from probevo.output.json_file import write_json
     from probevo.output.trial_table import trial_table, trials_latex
     from probevo.storage.files import write_atomically, written_together
 

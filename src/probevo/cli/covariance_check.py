@@ -22,7 +22,7 @@ LEVELS = (0.5, 0.9, 0.99)
 SURE = 3.0
 """Standard errors beyond which a mean differs from 1 by more than chance."""
 MAX_MARGIN = 0.5
-"""What chance may add to a mean, beyond which one that does not differ from 1 says nothing."""
+"""Largest margin of chance at which a mean that does not differ from 1 confirms the claim."""
 COLUMNS = (
     "NEES / 6 is 1 if the claimed covariances hold, more if they are too small; ± is one standard"
     " error of it. The last columns are shares of the motions inside the claimed regions."
@@ -72,12 +72,14 @@ def main(words: list[str]) -> None:
     print_reader_warnings(sequence)
     config = {"estimator": arguments.estimator, "any_camera": arguments.any_camera}
     with progress_bar(sequence.path.resolve().name, getting_ready()) as show:
-        found = compare_halves(
+        halves = compare_halves(
             sequence, noise, config, max_frames=arguments.max_frames, on_progress=show
         )
-    print(f"recording: {sequence.path}, {found.num_frames} frames, {found.num_solved} solved twice")
-    print(f"\n{agreement_table(found.agreements)}\n{COLUMNS}\n")
-    for agreement in found.agreements:
+    print(
+        f"recording: {sequence.path}, {halves.num_frames} frames, {halves.num_solved} solved twice"
+    )
+    print(f"\n{agreement_table(halves.agreements)}\n{COLUMNS}\n")
+    for agreement in halves.agreements:
         print(verdict(agreement))
     print(LIMITS)
 
@@ -86,15 +88,15 @@ def agreement_table(agreements: tuple[Agreement, ...]) -> str:
     """Return a table with a row for each number of frames that motions lead over."""
     head = ("motions over", "compared", "NEES / 6", "±", *(f"in {level:.0%}" for level in LEVELS))
     rows = []
-    for one in agreements:
-        inside = (f"{one.share_inside(level):.0%}" for level in LEVELS)
+    for agreement in agreements:
+        shares = (f"{agreement.share_inside(level):.0%}" for level in LEVELS)
         rows.append(
             (
-                _span(one),
-                str(len(one.squared)),
-                f"{one.mean:.2f}",
-                f"{one.standard_error:.2f}",
-                *inside,
+                _span(agreement),
+                str(len(agreement.squared)),
+                f"{agreement.mean:.2f}",
+                f"{agreement.standard_error:.2f}",
+                *shares,
             )
         )
     return table(head, rows)

@@ -62,7 +62,7 @@ def main(words: list[str]) -> None:
     from probevo.estimation.motion_estimate import Status
     from probevo.evaluation.metrics import evaluate
     from probevo.evaluation.trajectory_errors import relative_motions
-    from probevo.output.files import write_json
+    from probevo.output.json_file import write_json
     from probevo.output.metrics_table import metrics_rows
     from probevo.output.run_warnings import step_length_warning, truth_warning
 

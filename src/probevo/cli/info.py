@@ -41,8 +41,8 @@ MAX_OFF_CENTER = 0.1
 MAX_FOCAL_DIFFERENCE = 0.1
 """Largest usual relative difference of the two focal lengths."""
 MIN_DISPARITY_PX = 0.25
-"""If nine of ten matches have less, left and right are probably the same image; the noise of
-matching is 0.1 to 0.2 px."""
+"""Disparity below which nine of ten matches mean that left and right are probably the same image;
+the noise of matching is 0.1 to 0.2 px."""
 
 STEPS_FOR_IMU = 100
 """Steps, from the start, for which it is tried whether the window could use the IMU."""
@@ -53,12 +53,12 @@ IMAGE_QUESTIONS = (
     "Are left and right the same image?",
     "Are the images rectified, sharp and textured?",
 )
-"""What to ask if there are next to no disparities, and if there are no matches."""
+"""Questions if there are next to no disparities, and if there are no matches."""
 FEATURE_QUESTIONS = (
     "Are columns 0 and 2 of uv the same?",
     "Do the ids repeat from frame to frame?",
 )
-"""The same for a tracks file."""
+"""Both questions for a tracks file."""
 
 
 @dataclass(frozen=True)
@@ -146,10 +146,10 @@ def print_reader_warnings(sequence: Sequence) -> None:
     """Print what the reader could not use of a recording, such as its IMU, and what is unusual
     about its camera and its rate, a line each."""
     notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
-    found = [(name, text) for name, text in notes if name.startswith("!")]
-    found += camera_warnings(sequence.camera)
-    found += rate_warnings(sequence)
-    for name, text in found:
+    warnings = [(name, text) for name, text in notes if name.startswith("!")]
+    warnings += camera_warnings(sequence.camera)
+    warnings += rate_warnings(sequence)
+    for name, text in warnings:
         print(f"probevo: warning: {name[1:].strip()}: {text}", file=sys.stderr)
 
 
@@ -229,9 +229,9 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
 
     # The nearest sample is the one before the frame or the one after it.
-    after = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
-    both_ms = (stamps_ns[np.stack([after - 1, after])] - sequence.stamps_ns) * 1e-6
-    offset_ms = both_ms[np.abs(both_ms).argmin(axis=0), np.arange(len(after))]
+    next_index = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
+    both_ms = (stamps_ns[np.stack([next_index - 1, next_index])] - sequence.stamps_ns) * 1e-6
+    offset_ms = both_ms[np.abs(both_ms).argmin(axis=0), np.arange(len(next_index))]
     offset_ms = np.round(offset_ms, 1) + 0.0  # so that no -0.0 is shown
     offset = (
         f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a frame"
@@ -265,9 +265,9 @@ def _reason_against_window(sequence: Sequence) -> ImuReason | None:
         if samples is None:
             continue  # counted among the steps that the IMU does not cover
         covered += 1
-        found = preintegrate(samples, start_ns, end_ns, sequence.imu)
-        if isinstance(found, NoPreintegration):
-            reasons.append(found.reason)
+        preintegrated = preintegrate(samples, start_ns, end_ns, sequence.imu)
+        if isinstance(preintegrated, NoPreintegration):
+            reasons.append(preintegrated.reason)
     return reasons[0] if 2 * len(reasons) > covered else None
 
 
@@ -376,54 +376,54 @@ def examine(frames: list[Frame], sequence: Sequence) -> Rows:
         return [("! images", text)]
     if len(frames) < 2:
         return []
-    found = first_matches(frames, sequence.camera)
-    num_matches = found.num_positive + found.num_negative
+    matches = first_matches(frames, sequence.camera)
+    num_matches = matches.num_positive + matches.num_negative
     has_images = frames[0].features is None
     ask_if_same, ask_if_poor = IMAGE_QUESTIONS if has_images else FEATURE_QUESTIONS
     # This check comes first: noise makes most disparities of an image with itself negative, which
     # would look as if left and right were swapped.
-    if len(found.pixels) > 0.1 * num_matches and _is_without_disparity(found):
+    if len(matches.pixels) > 0.1 * num_matches and _is_without_disparity(matches):
         text = f"nine of ten are under {MIN_DISPARITY_PX} px. {ask_if_same}"
         return [("! disparity", text)]
-    if looks_swapped(found.num_positive, found.num_negative):
+    if looks_swapped(matches.num_positive, matches.num_negative):
         text = (
-            f"{found.num_negative} of {num_matches} have negative disparity. Are left and right"
+            f"{matches.num_negative} of {num_matches} have negative disparity. Are left and right"
             f" swapped? {how_to_swap(sequence.path)}"
         )
         return [("! matches", text)]
-    if len(found.pixels) < 2:
-        text = f"{len(found.pixels)} in the first {found.num_frames} frames. {ask_if_poor}"
+    if len(matches.pixels) < 2:
+        text = f"{len(matches.pixels)} in the first {matches.num_frames} frames. {ask_if_poor}"
         return [("! matches", text)]
     min_tracks = MIN_TRACKS if has_images else 0
     return [
-        _tracks_row(found, min_tracks, ask_if_few=ask_if_poor),
-        _disparity_row(found, sequence.camera),
-        _rows_row(found),
+        _tracks_row(matches, min_tracks, ask_if_few=ask_if_poor),
+        _disparity_row(matches, sequence.camera),
+        _rows_row(matches),
     ]
 
 
-def _is_without_disparity(found: FirstMatches) -> bool:
+def _is_without_disparity(matches: FirstMatches) -> bool:
     import numpy as np
 
-    return bool(np.percentile(np.abs(found.disparity_px), 90) < MIN_DISPARITY_PX)
+    return bool(np.percentile(np.abs(matches.disparity_px), 90) < MIN_DISPARITY_PX)
 
 
-def _tracks_row(found: FirstMatches, min_tracks: int, ask_if_few: str) -> Row:
+def _tracks_row(matches: FirstMatches, min_tracks: int, ask_if_few: str) -> Row:
     text = (
-        f"{found.num_per_frame:.0f} tracks per frame in the first {found.num_frames};"
+        f"{matches.num_per_frame:.0f} tracks per frame in the first {matches.num_frames};"
         " left and right are not swapped"
     )
-    if found.num_per_frame < min_tracks:
+    if matches.num_per_frame < min_tracks:
         return ("! matches", f"{text}. These are few. {ask_if_few}")
     return ("matches", text)
 
 
-def _disparity_row(found: FirstMatches, camera: StereoCamera) -> Row:
+def _disparity_row(matches: FirstMatches, camera: StereoCamera) -> Row:
     """Say how far away the tracks are."""
     import numpy as np
 
-    low_px, high_px = np.percentile(found.disparity_px, [10, 90])
-    median_px = float(np.median(found.disparity_px))
+    low_px, high_px = np.percentile(matches.disparity_px, [10, 90])
+    median_px = float(np.median(matches.disparity_px))
     depth_m = camera.fu_px * camera.baseline_m / max(median_px, 1e-9)
     text = (
         f"{low_px:.1f} to {high_px:.1f} px (10 to 90 %), median {median_px:.1f} px, which is"
@@ -435,11 +435,11 @@ def _disparity_row(found: FirstMatches, camera: StereoCamera) -> Row:
     return ("! disparity", f"{text}. {question}")
 
 
-def _rows_row(found: FirstMatches) -> Row:
+def _rows_row(matches: FirstMatches) -> Row:
     """Say how far apart the rows of a feature are in the two images."""
     import numpy as np
 
-    low_px, median_px, high_px = np.percentile(found.row_offset_px, [10, 50, 90])
+    low_px, median_px, high_px = np.percentile(matches.row_offset_px, [10, 50, 90])
     text = (
         f"right minus left: median {median_px:+.2f} px,"
         f" {low_px:+.2f} to {high_px:+.2f} px (10 to 90 %)"

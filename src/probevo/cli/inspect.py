@@ -161,7 +161,7 @@ def frame_view(
     Args:
         path: the recording.
         arguments: which frame and, without a model, which predictors.
-        settings: of the odometry.
+        settings: settings of the odometry.
         model: the noise model to run with; None for the default.
 
     Raises:

@@ -141,11 +141,11 @@ def _stopped_by_signals() -> Iterator[None]:
     Only the main thread of a process may set this; and what its caller has set is left alone.
     """
     _received.clear()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     is_allowed = current_thread() is main_thread()
     replaced = {
         number: handler
-        for number, handler in before.items()
+        for number, handler in handlers.items()
         if is_allowed and handler in (signal.default_int_handler, signal.SIG_DFL)
     }
     for number in replaced:

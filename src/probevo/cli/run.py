@@ -114,12 +114,12 @@ def _defaults(words: list[str]) -> RunArguments:
 
 def with_viewer_window(words: list[str]) -> list[str]:
     """Return the words with the value "window" after a --viewer that has none."""
-    found = []
+    extended = []
     for word, following in pairwise([*words, "--"]):
-        found.append(word)
+        extended.append(word)
         if word == "--viewer" and following.startswith("--"):
-            found.append("window")
-    return found
+            extended.append("window")
+    return extended
 
 
 def default_common_settings(words: list[str]) -> CommonRunSettings:
@@ -193,7 +193,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
 
     from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
-    from probevo.output.domain import domain_text
+    from probevo.output.domain_warning import domain_text
     from probevo.output.run_facts import (
         delay_text,
         focal_text,
@@ -217,9 +217,9 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
 
     if run.metrics is not None:
         lines += _error_lines(run.metrics)
-    without_imu = unused_imu_text(result)
-    if without_imu:
-        lines.append(f"IMU: {without_imu}")
+    unused_imu = unused_imu_text(result)
+    if unused_imu:
+        lines.append(f"IMU: {unused_imu}")
     if result.jitter_sigma_rad is not None and Status.OK in result.status:
         lines.append(f"the right camera {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):

@@ -104,7 +104,7 @@ def _write(
 ) -> None:
     """Write all files: all or none."""
     from probevo import __version__
-    from probevo.output.files import write_json
+    from probevo.output.json_file import write_json
     from probevo.output.run_facts import camera_text
     from probevo.run_config import config_text
     from probevo.storage.files import write_atomically, written_together

@@ -27,9 +27,9 @@ def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
     from probevo.noise.registry import kind_of
 
     module, _, _ = kind_of(model).inspection.partition(":")
-    found: TrainingSummary = imported(f"{module}:summary")(model)
-    lines = [columns(found.facts.items())]
-    for paragraph in found.paragraphs:
+    description: TrainingSummary = imported(f"{module}:summary")(model)
+    lines = [columns(description.facts.items())]
+    for paragraph in description.paragraphs:
         lines += ["", *paragraph.splitlines()]
     return [*lines, "", f"model: {out}"]
 

@@ -63,11 +63,11 @@ class RemoteFile:
     name: str
     """Name of the file on disk."""
     urls: tuple[str, ...]
-    """Where it is; the first that answers is taken."""
+    """URLs of the file; the first that answers is taken."""
     md5_suffix: str = ""
     """Suffix of the URL at which the host publishes the MD5 sum; empty if it does not."""
     sha256: str = ""
-    """Its published SHA-256, in hexadecimal digits; empty if none is."""
+    """Published SHA-256, in hexadecimal digits; empty if none is published."""
 
     @property
     def has_checksum(self) -> bool:
@@ -83,11 +83,11 @@ class Dataset:
     files: tuple[RemoteFile, ...]
     licence: str
     page: str
-    """Where its authors describe it, and its terms."""
+    """URL at which the authors describe the data set and its terms."""
     size: str
     """Size of all archives, if it is known; else empty."""
     recordings: str
-    """Which folders in the unpacked one are recordings, as a glob pattern; . is that itself."""
+    """Glob pattern of the recordings in the unpacked folder; . is that folder itself."""
 
 
 @dataclass(frozen=True)
@@ -161,19 +161,19 @@ def find_dataset(name: str) -> Dataset:
         InputError: there is no such data set; a similar name is suggested.
     """
     source, _, part = name.strip("/").partition("/")
-    found = None
+    dataset = None
     if source == "kitti-odometry" and not part:
-        found = _kitti_odometry()
+        dataset = _kitti_odometry()
     elif source == "kitti-raw" and (match := KITTI_DRIVE.fullmatch(part.removesuffix("_sync"))):
-        found = _kitti_raw(date=match[1], drive=match[0])
+        dataset = _kitti_raw(date=match[1], drive=match[0])
     elif source == "euroc" and (part in EUROC_SEQUENCES or part == "machine_hall"):
-        found = _euroc(part)
+        dataset = _euroc(part)
     elif f"{source}/{part}" in TUM_VI_NAMES:
-        found = _tum_vi(part)
+        dataset = _tum_vi(part)
     elif f"{source}/{part}" in TARTAN_AIR_NAMES:
-        found = _tartan_air(part)
-    if found is not None:
-        return found
+        dataset = _tartan_air(part)
+    if dataset is not None:
+        return dataset
     known = [example for family in FAMILIES for example in family.examples]
     similar = get_close_matches(name, known, n=3, cutoff=0.5)
     cure = f"Did you mean {', or '.join(similar)}?" if similar else ""

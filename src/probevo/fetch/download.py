@@ -30,13 +30,13 @@ from probevo.storage.files import write_atomically
 TIMEOUT_S = 30.0
 CHUNK = 1 << 20
 ATTEMPTS = 5
-"""How often a URL may fail in a row, without a byte arriving, before the next one is tried."""
+"""Failures in a row of a URL, without a byte arriving, after which the next one is tried."""
 BUSY = (http.client.REQUEST_TIMEOUT, http.client.TOO_MANY_REQUESTS)
 """Answers after which a host may be asked again, besides those of a server that has failed."""
 LONGEST_CHECKSUM = 4096
 """Bytes of a file that holds a checksum."""
 NO_NETWORK = (OSError, http.client.HTTPException)
-"""What urllib raises where a host, a connection or an answer fails; URLError is an OSError."""
+"""Exceptions of urllib where a host, a connection or an answer fails; URLError is an OSError."""
 Progress = Callable[[int, int], None]
 """A function of the bytes that are there and of their total number; 0 if that is unknown."""
 
@@ -70,7 +70,7 @@ def download(
 
     Args:
         file: what to fetch.
-        folder: where it shall be.
+        folder: folder for the file.
         on_progress: called as it arrives.
         wait_s: time before the second attempt; it doubles with each.
 
@@ -125,13 +125,13 @@ def _transfer(url: str, partial: Path, on_progress: Progress, *, wait_s: float) 
     """Complete the partial file, in as many attempts as bring something new."""
     failures = 0
     while True:
-        before = partial.stat().st_size if partial.exists() else 0
+        size_before = partial.stat().st_size if partial.exists() else 0
         try:
             _receive(url, partial, on_progress)
             break
         except urllib.error.HTTPError as error:
             if error.code == http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
-                if _is_complete(error, before):
+                if _is_complete(error, size_before):
                     break
                 _discard(partial)
             elif error.code not in BUSY and error.code < http.client.INTERNAL_SERVER_ERROR:
@@ -140,7 +140,7 @@ def _transfer(url: str, partial: Path, on_progress: Progress, *, wait_s: float) 
             last: Exception = error
         except NO_NETWORK as error:
             now = partial.stat().st_size if partial.exists() else 0
-            failures = 1 if now > before else failures + 1
+            failures = 1 if now > size_before else failures + 1
             last = error
         if failures >= ATTEMPTS:
             raise last
@@ -240,9 +240,9 @@ def _verified(file: RemoteFile, path: Path, url: str) -> Fetched:
         raise _ChecksumError(f"its SHA-256 is {digest}, and should be {file.sha256}")
     if file.md5_suffix:
         published = _published_md5(url + file.md5_suffix)
-        found = _digest(path, "md5")
-        if found != published:
-            raise _ChecksumError(f"its MD5 is {found}, and should be {published}")
+        digest_md5 = _digest(path, "md5")
+        if digest_md5 != published:
+            raise _ChecksumError(f"its MD5 is {digest_md5}, and should be {published}")
     size = path.stat().st_size
     return Fetched(path, url, size, sha256=digest, is_verified=file.has_checksum)
 
@@ -256,10 +256,10 @@ def _published_md5(url: str) -> str:
     request = urllib.request.Request(url, headers={"User-Agent": f"probevo/{__version__}"})
     with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
         text = answer.read(LONGEST_CHECKSUM).decode("ascii", "replace")
-    found = re.search(r"\b[0-9a-fA-F]{32}\b", text)
-    if found is None:
+    match = re.search(r"\b[0-9a-fA-F]{32}\b", text)
+    if match is None:
         raise ConnectionError(f"{url} holds no MD5 sum")
-    return found[0].lower()
+    return match[0].lower()
 
 
 def _digest(path: Path, algorithm: str) -> str:

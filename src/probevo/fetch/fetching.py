@@ -34,7 +34,7 @@ class Result:
     recordings: tuple[Path, ...]
     """Folders that ``probevo run`` opens."""
     files: tuple[Fetched, ...]
-    """Its archives; empty if it was there before."""
+    """Archives of the data set; empty if it was there before."""
 
 
 def fetch(
@@ -102,13 +102,13 @@ def _given(dataset: Dataset, have: Path | None) -> dict[str, Path]:
         return {}
     folder = have if have.is_dir() else have.parent
     names = [file.name for file in dataset.files]
-    found = {name: folder / name for name in names if (folder / name).is_file()}
+    archives = {name: folder / name for name in names if (folder / name).is_file()}
     if have.is_file() and have.name not in names and len(names) == 1:
-        found = {names[0]: have}  # under a name of the user's
-    if not found:
+        archives = {names[0]: have}  # under a name of the user's
+    if not archives:
         what = f"there is no archive of {dataset.name}."
         raise InputError(have, what, f"Expected {', '.join(names)}, or the folder with it.")
-    return found
+    return archives
 
 
 def _unpack(dataset: Dataset, files: list[Fetched], target: Path, on_progress: OnProgress) -> None:

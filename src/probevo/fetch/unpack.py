@@ -16,8 +16,8 @@ from probevo.errors import InputError
 
 DAMAGED = "Remove it, and fetch it again."
 FAULTS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, RuntimeError)
-"""What the libraries raise for an archive that is damaged; RuntimeError, or NotImplementedError,
-which is one, for an archive that is encrypted or of a kind that they do not know."""
+"""Exceptions of the libraries for an archive that is damaged; RuntimeError, or
+NotImplementedError, which is one, for an archive that is encrypted or of an unknown kind."""
 
 
 def unpack_all(
@@ -93,7 +93,7 @@ class _Member(NamedTuple):
 
     name: str
     size: int
-    """Its bytes."""
+    """Bytes of the unpacked file."""
     packed_size: int
     """Bytes that it takes in the archive."""
     content: Callable[[], IO[bytes]]

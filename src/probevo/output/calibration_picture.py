@@ -146,9 +146,9 @@ def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> N
         np.linspace(0.0, width_px, ARROW_COLUMNS), np.linspace(0.0, height_px, ARROW_ROWS)
     )
     modes = modes_at(_far_points(u.ravel(), v.ravel()), camera)[:, COMMON_MODES]
-    of_u, of_v = rig.image.distortion[: 2 * len(COMMON_MODES)].reshape(2, -1)
-    moved_u = modes @ of_u
-    moved_v = modes @ of_v
+    coefficients_u, coefficients_v = rig.image.distortion[: 2 * len(COMMON_MODES)].reshape(2, -1)
+    moved_u = modes @ coefficients_u
+    moved_v = modes @ coefficients_v
     longest_px = max(MIN_SCALE_PX, float(np.hypot(moved_u, moved_v).max()))
     # The longest arrow is as long as two of them are apart. Image rows count downwards.
     arrows = axes.quiver(
@@ -182,10 +182,10 @@ def _draw_quantities(
     colors = [ORANGE if quantity in marked else BLUE for quantity in quantities]
     axes.axvspan(-largest_z, largest_z, color=BAND, alpha=0.6, linewidth=0.0)
     axes.barh(places, shown, height=0.6, color=colors)
-    for place, of_bar, of_quantity in zip(places, shown, z, strict=True):
-        if of_bar != of_quantity:
-            side = "right" if of_bar > 0.0 else "left"
-            axes.text(of_bar, place, f"{of_quantity:.0f} ", ha=side, va="center", fontsize=7.0)
+    for place, length, distance in zip(places, shown, z, strict=True):
+        if length != distance:
+            side = "right" if length > 0.0 else "left"
+            axes.text(length, place, f"{distance:.0f} ", ha=side, va="center", fontsize=7.0)
     axes.set_yticks(places, [quantity.name for quantity in quantities], fontsize=7.5)
     axes.set_xlim(-4.2 * largest_z, 4.2 * largest_z)
     axes.grid(visible=False, axis="y")

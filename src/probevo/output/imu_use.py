@@ -8,7 +8,7 @@ from probevo.measurements.imu_reason import ImuFault, ImuReason
 
 
 class ImuUse:
-    """What the steps of a run said of the IMU, as they come."""
+    """Record of how the window used the IMU, step by step."""
 
     def __init__(self) -> None:
         self._last_used: int | None = None

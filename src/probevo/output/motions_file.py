@@ -49,7 +49,7 @@ _SENSORS = TypeAdapter(dict[str, SensorUse])
 
 @dataclass(frozen=True)
 class _Optional:
-    """How a file holds a field of ``RunResult`` that not every run knows.
+    """Conversion between an array and a field of ``RunResult`` that not every run has.
 
     The array has the name of the field. It is left out where the field is None, 0 or empty, and
     where it is missing, the field has its default.
@@ -128,7 +128,7 @@ _OPTIONAL = {
     "stopped": _Optional(None, str),
     "sensors": _Optional(None, _sensors_from_text, _sensors_to_text),
 }
-"""By the name of the field, and of the array."""
+"""The optional fields, by name; their arrays have the same names."""
 
 
 def write_motions(path: Path, result: RunResult) -> None:

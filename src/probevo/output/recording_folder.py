@@ -13,12 +13,12 @@ import yaml
 
 from probevo.arrays import Image
 from probevo.errors import InputError
-from probevo.output.files import write_kitti_poses
 from probevo.output.recording_parts import imu_samples, stereo_pairs
 from probevo.sequences import ImuSamples, Sequence
 from probevo.sequences.formats.folder import IMU_HEADER
 from probevo.sequences.imu_calibration import DENSITIES
 from probevo.sequences.masked import mask_of_array
+from probevo.sequences.pose_files import write_kitti_poses
 from probevo.storage.files import write_atomically
 
 

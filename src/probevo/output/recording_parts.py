@@ -1,4 +1,4 @@
-"""What a recording holds besides its frames, for those who write it in another format."""
+"""Image pairs, masks and IMU samples of a recording, for writing it in another format."""
 
 from __future__ import annotations
 

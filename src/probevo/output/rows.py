@@ -14,8 +14,8 @@ class Rows:
     An array that is copied to grow would fragment the memory of a long run.
 
     Args:
-        dtype: of its elements; structured for rows with named fields.
-        shape: of a row.
+        dtype: type of its elements; structured for rows with named fields.
+        shape: shape of a row.
         zeros: rows of zeros to begin with.
     """
 

@@ -15,7 +15,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.measurements.imu_reason import ImuFault
-from probevo.output.domain import domain_text
+from probevo.output.domain_warning import domain_text
 from probevo.output.run_result import STEPS_WITHOUT_IMU, RunResult
 from probevo.output.table import readable
 from probevo.run_config import RunConfig
@@ -98,12 +98,12 @@ def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
         stamps_ns: their times, [N].
         recorded: number of frames of the recording, of which these are the first N.
     """
-    of = "" if recorded in (None, len(stamps_ns)) else f" of {recorded:,}"
+    total = "" if recorded in (None, len(stamps_ns)) else f" of {recorded:,}"
     seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9
     if len(stamps_ns) < 2:
         return "1"
     return (
-        f"{len(stamps_ns):,}{of} in {seconds:.1f} s"
+        f"{len(stamps_ns):,}{total} in {seconds:.1f} s"
         f" ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
     )
 
@@ -133,10 +133,10 @@ def unused_imu_text(result: RunResult) -> str:
     num_unused = result.unusable.get(STEPS_WITHOUT_IMU, 0)
     if not num_unused:
         return ""
-    by_fault = [
+    fault_counts = [
         (result.unusable.get(f"{STEPS_WITHOUT_IMU}_{fault.value}", 0), fault) for fault in ImuFault
     ]
-    most_first = sorted(by_fault, key=lambda counted: -counted[0])
+    most_first = sorted(fault_counts, key=lambda counted: -counted[0])
     reasons = [f"{count} {fault.value.replace('_', ' ')}" for count, fault in most_first if count]
     return f"not used in {num_unused} of {len(result) - 1} steps ({', '.join(reasons)})"
 
@@ -232,8 +232,8 @@ def imu_use_text(
     gyro = f"gyro {', '.join(uses)}"
     if config.estimator == "window" and config.window.imu == "auto":
         if left_out:
-            since = "" if unused_from is None else f" from frame {unused_from} on"
-            return f"not used in the window{since}: it {left_out}; {gyro}"
+            start = "" if unused_from is None else f" from frame {unused_from} on"
+            return f"not used in the window{start}: it {left_out}; {gyro}"
         return f"in the window, once it agrees with the images; {gyro}"
     return gyro
 

@@ -48,8 +48,8 @@ _RECORD = np.dtype(
         ("num_out_of_domain", np.int64),
     ]
 )
-"""What a recorder keeps of a frame, as ``MotionEstimate`` and ``RunResult`` name it; −1 features
-out of domain stand for None."""
+"""Record that a recorder keeps of a frame, with the names of ``MotionEstimate`` and ``RunResult``;
+−1 features out of domain stand for None."""
 STEPS_WITHOUT_IMU = "steps_without_imu"
 """Name of the steps without an IMU in ``RunResult.unusable``; with the fault behind it, of those
 that it caused."""
@@ -154,12 +154,12 @@ class RunResult:
     """Covariance of the left perturbation of T_cam_world of these, [N, 6, 6], m and rad; None for
     the two-frame estimator."""
     stopped: str | None = None
-    """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
+    """Reason why the run stopped early, such as a damaged image; None if it did not."""
     jitter_sigma_rad: FloatArray | None = None
     """Standard deviation by which pitch, yaw and roll of the right camera relative to the left one
     are off in each frame, as estimated at the end, [3]; None without self-calibration."""
     row_errors: RowErrors | None = None
-    """How far the rows of the right images are off, as estimated at the end; None without
+    """Errors of the rows of the right images, as estimated at the end; None without
     self-calibration."""
     fixed_features: FixedFeatures | None = None
     """Features that stayed where they are although the motion should have moved them; None without
@@ -174,25 +174,26 @@ class RunResult:
     """Time from the exposure of the first row of an image to that of the last one, as it was
     corrected at the end; negative if rows are read from the bottom."""
     focal_length: FocalLengthError | None = None
-    """How far the focal length is off by the images; None without self-calibration."""
+    """Error of the focal length that the images show; None without self-calibration."""
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""
     other_camera: str | None = None
-    """In what the camera differs from that of the noise model's training; None if it does not."""
+    """Difference of the camera from the one on which the noise model was trained, in words; None
+    if there is none."""
     noise_is_learned: bool = False
     """Whether the noise model was learned from recordings."""
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run, the most frequent reason since it
     was last used; None if it did, or there was none."""
     imu_fault: ImuFault | None = None
-    """What kind of reason that is."""
+    """Kind of the reason in ``imu_left_out``."""
     imu_unused_from: int | None = None
     """Index of the first frame after the window last used the IMU; None if it did at the end, or
     never."""
     imu_noise_factor: float | None = None
-    """By how much the variances of the IMU's samples exceed those of its calibration, as the window
-    assumed at the end; None where it uses no IMU."""
+    """Factor by which the variances of the IMU's samples exceed those of its calibration, as the
+    window assumed at the end; None where it uses no IMU."""
     accelerometer_scale: AccelerometerScale | None = None
     """Length of the path by the images over that by the accelerometer; None if that is not
     known."""
@@ -215,8 +216,10 @@ class RunResult:
         for status in Status:
             if status not in (Status.FIRST, Status.OK):
                 counts[f"steps_{status.name.lower()}"] = int((self.status == status).sum())
-        without = {f"steps_without_{name}": use.excluded for name, use in self.sensors.items()}
-        return {name: count for name, count in (counts | without | self.unusable).items() if count}
+        silent_steps = {f"steps_without_{name}": use.excluded for name, use in self.sensors.items()}
+        return {
+            name: count for name, count in (counts | silent_steps | self.unusable).items() if count
+        }
 
     @property
     def out_of_domain(self) -> float | None:
@@ -303,14 +306,14 @@ class RunResult:
             f"{axis}_m": self.T_world_cam[:, k, 3] for k, axis in enumerate("xyz")
         }
         columns |= {f"q{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")}
-        of_motion = {
+        motion_columns = {
             "distance_m": np.linalg.norm(self.T_curr_prev[:, :3, 3], axis=1),
             **{f"sigma_{name}": sigma[:, k] for k, name in enumerate(SIGMA_NAMES)},
             "num_tracks": self.num_tracks,
             "num_inliers": self.num_inliers,
             "total_ms": self.total_ms,
         }
-        columns |= {name: np.r_[np.nan, values] for name, values in of_motion.items()}
+        columns |= {name: np.r_[np.nan, values] for name, values in motion_columns.items()}
         names = [Status(int(status)).name for status in self.status]
         columns["status"] = ["FIRST", *names][: len(self)]
         return pd.DataFrame(columns, index=pd.Index(self.stamps_ns, name="stamp_ns"))
@@ -409,8 +412,8 @@ class RunRecorder:
         record["num_tracks"] = motion.num_tracks
         record["num_inliers"] = motion.num_inliers
         record["num_used"] = motion.num_used
-        outside = motion.num_out_of_domain
-        record["num_out_of_domain"] = -1 if outside is None else outside
+        num_outside = motion.num_out_of_domain
+        record["num_out_of_domain"] = -1 if num_outside is None else num_outside
         self._frames.add(record)
 
     def result(self) -> RunResult:
@@ -430,7 +433,7 @@ class RunRecorder:
         if self._sensors:
             T_world_cam = frames["T_world_cam"].copy()
             cov_cam_world = frames["cov_cam_world"].copy()
-        outside = motions["num_out_of_domain"]
+        num_outside = motions["num_out_of_domain"]
         left_out = self._imu.left_out
         return RunResult(
             stamps_ns=frames["stamp_ns"].copy(),
@@ -455,5 +458,5 @@ class RunRecorder:
             imu_unused_from=self._imu.unused_from,
             noise_factor=motions["noise_factor"].copy(),
             num_used=motions["num_used"].copy(),
-            num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
+            num_out_of_domain=np.maximum(num_outside, 0) if (num_outside >= 0).any() else None,
         )

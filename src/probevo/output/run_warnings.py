@@ -12,7 +12,7 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
-from probevo.output.domain import domain_warning
+from probevo.output.domain_warning import domain_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
 from probevo.tracking.fixed_features import MIN_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
@@ -128,8 +128,8 @@ def unsolved_warning(status: IntArray) -> str | None:
 
 def _usual_cause(status: IntArray) -> str:
     """Return which status most steps have that are not OK, and what usually causes it."""
-    found, counts = np.unique(status[status != Status.OK], return_counts=True)
-    prevailing = Status(found[counts.argmax()])
+    statuses, counts = np.unique(status[status != Status.OK], return_counts=True)
+    prevailing = Status(statuses[counts.argmax()])
     return (
         f"Most that are not OK have the status {prevailing.name}, usually because of"
         f" {_CAUSES[prevailing]}: see `probevo info SEQUENCE`."
@@ -172,27 +172,27 @@ def rows_warning(result: RunResult) -> str | None:
     """
     if result.right_late_frames:
         return None
-    found = []
+    symptoms = []
     errors = result.row_errors
     if errors is not None and errors.sigmas > ROW_SIGMAS:
-        found.append(
+        symptoms.append(
             f"Rows of right images are off by up to {errors.largest_px:.1f} px;"
             f" {errors.sigmas:.1f} standard deviations of what a rectification leaves."
         )
     num_elsewhere = result.rejected.get(OTHER_ROW, 0)
     num_tracks = int(result.num_tracks.sum())
     if num_elsewhere > max(num_tracks, MIN_MATCHES):
-        found.append(
+        symptoms.append(
             f"{num_elsewhere:,} stereo matches look alike in other rows; {num_tracks:,} were"
             " tracked in the same one."
         )
-    if not found:
+    if not symptoms:
         return None
     return (
-        f"{' '.join(found)} Features are lost, and the path may be off by more than its covariance"
-        " says. Are the images rectified, with the calibration of these lenses and mounts,"
-        " simultaneous, and exposed alike? `probevo calibrate-check SEQUENCE` shows the rows;"
-        " calibrate and rectify anew."
+        f"{' '.join(symptoms)} Features are lost, and the path may be off by more than its"
+        " covariance says. Are the images rectified, with the calibration of these lenses and"
+        " mounts, simultaneous, and exposed alike? `probevo calibrate-check SEQUENCE` shows the"
+        " rows; calibrate and rectify anew."
     )
 
 
@@ -284,8 +284,8 @@ def imu_warning(
     """
     if not reason:
         return None
-    since = "The" if unused_from is None else f"From frame {unused_from} on, the"
-    text = f"The IMU {reason}. {since} path is by images alone."
+    start = "The" if unused_from is None else f"From frame {unused_from} on, the"
+    text = f"The IMU {reason}. {start} path is by images alone."
     if fault is not None and fault.is_of_samples:
         return text
     if shutter_rolls:

@@ -1,4 +1,4 @@
-"""One model of a table, shown as text, LaTeX, HTML and CSV."""
+"""Tables, shown as text, LaTeX, HTML and CSV."""
 
 from __future__ import annotations
 
@@ -72,13 +72,13 @@ class Cell:
     value: Any
     """Number or text, at full precision; None where unknown."""
     is_best: bool = False
-    """Whether it is the best of those that it is compared with: it is set in bold."""
+    """Whether the value is the best of those that it is compared with, and set in bold."""
     unit: str = ""
     """Unit in small print behind the value; in HTML only."""
     color: str = ""
     """Colour of a swatch before the value, as CSS writes it; in HTML only."""
     href: str = ""
-    """Where the value links to; in HTML only."""
+    """Target of the link on the value; in HTML only."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Row:
     section: str = ""
     """Heading under which it stands, together with its neighbours of the same section."""
     is_aside: bool = False
-    """Whether it belongs to the row above, e.g. as what was published."""
+    """Whether the row is an aside of the one above, such as published figures."""
 
     @staticmethod
     def of(*values: Any, section: str = "", is_aside: bool = False) -> Row:
@@ -108,7 +108,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
-    """What a reader should know, one sentence each."""
+    """Notes below the table, one sentence each."""
 
     @property
     def has_head(self) -> bool:

@@ -29,9 +29,9 @@ class TrialRow:
     kind: str = ""
     """Kind of place, e.g. City."""
     is_aside: bool = False
-    """Whether it belongs to the row above, e.g. as what was published."""
+    """Whether the row is an aside of the one above, such as published figures."""
     best: tuple[tuple[bool, ...], ...] | None = None
-    """Which errors of each estimator are marked; by default those that read as the least."""
+    """Marks on the errors of each estimator; by default on those that read as the least."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class TrialTable:
     estimators: tuple[str, ...]
     rows: tuple[TrialRow, ...]
     notes: tuple[str, ...] = ()
-    """What a reader should know, one sentence each."""
+    """Notes below the table, one sentence each."""
     measures: tuple[tuple[str, str], ...] = PROBE_MEASURES
     """Name and unit of the errors of an estimator; less is better."""
     form: str = "PROBE Table I"
@@ -80,8 +80,8 @@ class TrialTable:
 
 def _least(errors: tuple[Errors, ...]) -> list[tuple[bool, ...]]:
     """Find which errors of each estimator read as the least of their measure."""
-    by_measure = [reads_least(values) for values in zip(*errors, strict=True)]
-    return list(zip(*by_measure, strict=True))
+    measures = [reads_least(values) for values in zip(*errors, strict=True)]
+    return list(zip(*measures, strict=True))
 
 
 def errors_of(entry: Entry) -> Errors:

@@ -28,7 +28,7 @@ from probevo.sequences.frame import Frame
 from probevo.storage.files import check_folder, written_together
 
 WINDOW = Path("window")
-"""In place of a file: a window of the viewer, on this machine's display."""
+"""Stands for a window of the viewer on this machine's display, in place of a file."""
 BLUE_RGB = (23, 105, 170)
 GREEN_RGB = (44, 140, 90)
 GREY_RGB = (139, 149, 161)

@@ -1,4 +1,4 @@
-"""What a recording itself tells of its calibration: its images, its truth and its IMU."""
+"""Check of a recording's calibration by its own images, truth and IMU."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MIN_FRAMES = 12
 
 @dataclass(frozen=True)
 class CalibrationCheck:
-    """What a recording tells of its calibration."""
+    """Results of the check of a recording's calibration."""
 
     num_frames: int
     num_solved: int
@@ -57,8 +57,10 @@ class CalibrationCheck:
 
     @property
     def marked(self) -> list[Quantity]:
-        """Those quantities that are further from zero than chance would have it."""
-        return [one for one in self.quantities if is_marked(one, len(self.quantities))]
+        """Quantities that are further from zero than chance explains."""
+        return [
+            quantity for quantity in self.quantities if is_marked(quantity, len(self.quantities))
+        ]
 
 
 def check_calibration(sequence: Sequence, max_frames: int) -> CalibrationCheck:
@@ -81,8 +83,8 @@ def check_calibration(sequence: Sequence, max_frames: int) -> CalibrationCheck:
     if sequence.imu is not None and stream is not None:
         stamps_ns = sequence.stamps_ns[:num_frames]
         usable = usable_stream(stream, stamps_ns)
-        of_imu, C_cam_imu = _imu_quantities(seen, stamps_ns, usable, sequence.imu)
-        quantities += of_imu
+        imu_quantities, C_cam_imu = _imu_quantities(seen, stamps_ns, usable, sequence.imu)
+        quantities += imu_quantities
     return CalibrationCheck(
         num_frames=num_frames,
         num_solved=len(seen.rotation_rad),
@@ -110,7 +112,7 @@ def _imu_quantities(
         [3, 3]; None if the samples cover too few steps.
     """
     quantities, C_cam_imu = gyro_quantities(
-        seen.between_ns, seen.rotation_rad, stream, calibration=calibration
+        seen.frame_stamps_ns, seen.rotation_rad, stream, calibration=calibration
     )
     agreeing = C_cam_imu if quantities else None
     T_cam_imu = calibration.T_cam_imu.copy()
@@ -144,15 +146,15 @@ class _Seen:
     rows: list[RowSamples]
     """The stereo matches of each frame with a solved step before and after it."""
     rig: RigCalibration
-    """Its self-calibration at the end."""
+    """Self-calibration of the odometry at the end."""
     T_world_cam: FloatArray
     """Poses, [N, 4, 4], m."""
     is_ok: BoolArray
     """Whether each step was solved, [N − 1]."""
-    between_ns: IntArray
+    frame_stamps_ns: IntArray
     """Stamps of the two frames of each solved step, [K, 2]."""
     rotation_rad: FloatArray
-    """Their rotations Log(C_curr_prev), [K, 3], camera frame."""
+    """Rotations Log(C_curr_prev) of the solved steps, [K, 3], camera frame."""
     height: GroundHeight | None
     """Height of the left camera above the ground, if it is known."""
 
@@ -190,8 +192,10 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
             ids = tracks.ids[is_used]
             raw = _as_matched(odometry, ids)
             rotation_rad = so3.log(motion.T_curr_prev[:3, :3])
-            between_ns = (prev_ns, frame.stamp_ns)
-            steps.append(_Step(raw, used, ids, rotation_rad=rotation_rad, between_ns=between_ns))
+            frame_stamps_ns = (prev_ns, frame.stamp_ns)
+            steps.append(
+                _Step(raw, used, ids, rotation_rad=rotation_rad, frame_stamps_ns=frame_stamps_ns)
+            )
         prev_ns = frame.stamp_ns
     rows = _row_samples(steps, camera)
     if len(motions) < MIN_FRAMES:
@@ -206,7 +210,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         rig=odometry.rig or RigCalibration.initial(),
         T_world_cam=se3.chain_motions(motions[1:]),
         is_ok=np.array(solved[1:], np.bool_),
-        between_ns=np.array([step.between_ns for step in steps], np.int64),
+        frame_stamps_ns=np.array([step.frame_stamps_ns for step in steps], np.int64),
         rotation_rad=np.array([step.rotation_rad for step in steps]),
         height=heights.height(),
     )
@@ -228,18 +232,18 @@ class _Step(NamedTuple):
     raw_px: FloatArray
     """Observations in its current frame as matched, [N, 4], px."""
     corrected_px: FloatArray
-    """The same, corrected by the rig's calibration."""
+    """Observations corrected by the rig's calibration, [N, 4], px."""
     ids: IntArray
     """Identity of each feature, [N]."""
     rotation_rad: FloatArray
     """Log(C_curr_prev), [3], camera frame."""
-    between_ns: tuple[int, int]
+    frame_stamps_ns: tuple[int, int]
     """Stamps of its two frames."""
 
     @property
     def rate_rad_s(self) -> FloatArray:
         """Rotation per second, [3]."""
-        start_ns, end_ns = self.between_ns
+        start_ns, end_ns = self.frame_stamps_ns
         return self.rotation_rad / (1e-9 * (end_ns - start_ns))
 
 
@@ -250,9 +254,9 @@ def _row_samples(steps: list[_Step], camera: StereoCamera) -> list[RowSamples]:
             step.raw_px,
             step.corrected_px,
             step.ids,
-            rate_rad_s=0.5 * (step.rate_rad_s + after.rate_rad_s),
+            rate_rad_s=0.5 * (step.rate_rad_s + next_step.rate_rad_s),
             camera=camera,
         )
-        for step, after in pairwise(steps)
-        if step.between_ns[1] == after.between_ns[0]
+        for step, next_step in pairwise(steps)
+        if step.frame_stamps_ns[1] == next_step.frame_stamps_ns[0]
     ]

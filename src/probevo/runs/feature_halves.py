@@ -40,10 +40,10 @@ DIMENSION = 6
 
 @dataclass(frozen=True)
 class Agreement:
-    """How the motions of both halves over a number of frames agree."""
+    """Agreement of the motions of both halves over a number of frames."""
 
     frames: int
-    """That the motions lead over."""
+    """Number of frames that the motions lead over."""
     squared: FloatArray
     """Squared difference of each pair of motions in units of the sum of their covariances, [N]."""
 
@@ -82,7 +82,7 @@ class HalvesCompared:
     num_solved: int
     """Frames that both halves have solved."""
     agreements: tuple[Agreement, ...]
-    """Over one frame, and over ``SPAN`` if the estimator has a window."""
+    """Agreement over one frame, and over ``SPAN`` if the estimator has a window."""
 
 
 def compare_halves(
@@ -106,33 +106,34 @@ def compare_halves(
         InputError: fewer than ``FEWEST`` steps are solved by both halves.
     """
     total = len(sequence) if max_frames is None else min(max_frames, len(sequence))
-    one = StereoOdometry(sequence.camera, noise, config=config)
-    other = StereoOdometry(sequence.camera, noise, config=config)
+    odometry = StereoOdometry(sequence.camera, noise, config=config)
+    other_odometry = StereoOdometry(sequence.camera, noise, config=config)
     squared: dict[int, list[float]] = {1: [], SPAN: []}
     num_solved = 0
     left_right = LeftRightCheck(sequence.path, total)
     for done, frame in enumerate(islice(sequence, total)):
         first, second = halves_of(frame)
-        of_one = one.step(first)
-        left_right.see(frame, one.tracks)
-        of_other = other.step(second)
+        motion = odometry.step(first)
+        left_right.see(frame, odometry.tracks)
+        other_motion = other_odometry.step(second)
         if on_progress is not None:
             on_progress(done + 1, total)
-        if of_one.status is not Status.OK or of_other.status is not Status.OK:
+        if motion.status is not Status.OK or other_motion.status is not Status.OK:
             continue
         num_solved += 1
         if done < WARM_UP:
             continue
         squared[1].append(
             _difference_squared(
-                (of_one.T_curr_prev, of_one.cov), (of_other.T_curr_prev, of_other.cov)
+                (motion.T_curr_prev, motion.cov), (other_motion.T_curr_prev, other_motion.cov)
             )
         )
         earlier = frame.index - SPAN
-        if earlier >= WARM_UP and _has(one, earlier) and _has(other, earlier):
+        if earlier >= WARM_UP and _has(odometry, earlier) and _has(other_odometry, earlier):
             squared[SPAN].append(
                 _difference_squared(
-                    one.relative(frame.index, earlier), other.relative(frame.index, earlier)
+                    odometry.relative(frame.index, earlier),
+                    other_odometry.relative(frame.index, earlier),
                 )
             )
     if len(squared[1]) < FEWEST:
@@ -146,7 +147,9 @@ def compare_halves(
             f"Take more frames, as the first {WARM_UP} do not count, and heed the warnings of"
             " `probevo info`.",
         )
-    agreements = (Agreement(frames, np.array(found)) for frames, found in squared.items() if found)
+    agreements = (
+        Agreement(frames, np.array(values)) for frames, values in squared.items() if values
+    )
     return HalvesCompared(total, num_solved, tuple(agreements))
 
 
@@ -188,9 +191,9 @@ def _has(odometry: StereoOdometry, frame: int) -> bool:
 
 
 def _difference_squared(
-    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
+    motion: tuple[FloatArray, FloatArray], other_motion: tuple[FloatArray, FloatArray]
 ) -> float:
     """Return the squared difference of two motions with covariances, in units of their sum."""
-    T_one, cov_one = one
-    T_other, cov_other = other
-    return float(normalized_error_squared(T_one, T_other, cov_one + cov_other))
+    T, cov = motion
+    T_other, cov_other = other_motion
+    return float(normalized_error_squared(T, T_other, cov + cov_other))

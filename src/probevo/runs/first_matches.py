@@ -39,7 +39,7 @@ class FirstMatches:
 
     @property
     def row_offset_px(self) -> FloatArray:
-        """How much lower the tracks are in the right image, [N], px."""
+        """Distance by which the tracks are lower in the right image, [N], px."""
         return self.pixels[:, 3] - self.pixels[:, 1]
 
 

@@ -47,7 +47,7 @@ DEGREES_PER_RADIAN = np.rad2deg(1.0)
 class ImageRotations:
     """The rotations of K steps as the images show them."""
 
-    between_ns: IntArray
+    frame_stamps_ns: IntArray
     """Stamps of the two frames of each step, [K, 2]."""
     rotation_rad: FloatArray
     """Rotation vectors Log(C_curr_prev), [K, 3], camera frame."""
@@ -60,11 +60,13 @@ class ImageRotations:
         motions = [odometry.step(frame) for frame in frames][1:]
         solved = [k for k, motion in enumerate(motions) if motion.status is Status.OK]
         stamps_ns = [frame.stamp_ns for frame in frames]
-        between_ns = np.array(list(pairwise(stamps_ns)), np.int64).reshape(-1, 2)
+        frame_stamps_ns = np.array(list(pairwise(stamps_ns)), np.int64).reshape(-1, 2)
         C_curr_prev = np.array([motion.T_curr_prev[:3, :3] for motion in motions])
-        return ImageRotations(between_ns[solved], so3.log(C_curr_prev.reshape(-1, 3, 3)[solved]))
+        return ImageRotations(
+            frame_stamps_ns[solved], so3.log(C_curr_prev.reshape(-1, 3, 3)[solved])
+        )
 
-    def by_gyro(
+    def gyro_rotation_rad(
         self, stream: ImuStream, calibration: ImuCalibration, lag_s: float = 0.0
     ) -> FloatArray:
         """Integrate the gyro over the same steps.
@@ -80,11 +82,11 @@ class ImageRotations:
         Returns:
             Rotation vectors, [K, 3], camera frame; NaN for steps that the samples do not cover.
         """
-        rotation_rad = integrated_rotations(self.between_ns, stream, calibration, lag_s)
+        rotation_rad = integrated_rotations(self.frame_stamps_ns, stream, calibration, lag_s)
 
         # Estimate the bias as a median, as some steps may be wrong, and limit its size.
         covered = np.isfinite(rotation_rad).all(axis=1)
-        duration_s = 1e-9 * np.diff(self.between_ns, axis=1)
+        duration_s = 1e-9 * np.diff(self.frame_stamps_ns, axis=1)
         bias_rad_s = np.zeros(3)
         if covered.any():
             rate_error_rad_s = (rotation_rad - self.rotation_rad)[covered] / duration_s[covered]
@@ -109,8 +111,8 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
     is_implausible = (np.abs(rates_rad_s) > MAX_RATE_RAD_S).any(axis=1)
     num_forces = int((np.abs(forces_m_s2) > MAX_FORCE_M_S2).any(axis=1).sum())
     num_spikes = len(spike_stamps(plausible_stream(stream), frames_ns))
-    of_all = f"of {len(rates_rad_s):,}"
-    found = [
+    total = f"of {len(rates_rad_s):,}"
+    counted = [
         (
             int(is_implausible.sum()),
             f"have an angular rate over {MAX_RATE_RAD_S:g} rad/s; they are left out",
@@ -118,7 +120,7 @@ def sample_warnings(stream: ImuStream, frames_ns: IntArray) -> list[str]:
         (num_forces, f"have a specific force over {MAX_FORCE_M_S2:g} m/s²; it is left out"),
         (num_spikes, "are spikes of the gyro, and left out"),
     ]
-    return [f"{count:,} {of_all} {text}" for count, text in found if count]
+    return [f"{count:,} {total} {text}" for count, text in counted if count]
 
 
 def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalibration) -> str:
@@ -128,7 +130,7 @@ def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalib
         The warning; empty if the two agree, or if there are too few steps to say.
     """
     stream = plausible_stream(stream)
-    gyro_rad = images.by_gyro(stream, calibration)
+    gyro_rad = images.gyro_rotation_rad(stream, calibration)
     disagreement = _disagreement(images.rotation_rad, gyro_rad)
     covered = np.isfinite(gyro_rad).all(axis=1)
     if covered.sum() < MIN_STEPS or disagreement < MAX_DISAGREEMENT:
@@ -142,21 +144,25 @@ def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalib
         return f"{what}they are {scale:.0f} times as large. Is the gyro in degrees per second?"
 
     # A time offset.
-    by_lag = [
-        _disagreement(images.rotation_rad, images.by_gyro(stream, calibration, lag_s))
+    lag_disagreements = [
+        _disagreement(images.rotation_rad, images.gyro_rotation_rad(stream, calibration, lag_s))
         for lag_s in LAGS_S
     ]
-    if min(by_lag) < 0.5 * disagreement:
-        best_ms = 1e3 * LAGS_S[int(np.argmin(by_lag))]
+    if min(lag_disagreements) < 0.5 * disagreement:
+        best_ms = 1e3 * LAGS_S[int(np.argmin(lag_disagreements))]
         return f"{what}half of that or less with its stamps shifted by {best_ms:+.0f} ms."
 
     # An inverse mounting, or a negated gyro: that which agrees better, if one of them does.
     inverse = replace(calibration, T_cam_imu=se3.inverse(calibration.T_cam_imu))
     negated = replace(stream, gyro_rad_s=-stream.gyro_rad_s)
-    by_inverse = _disagreement(images.rotation_rad, images.by_gyro(stream, inverse))
-    by_negated = _disagreement(images.rotation_rad, images.by_gyro(negated, calibration))
-    if min(by_inverse, by_negated) < 0.5 * disagreement:
-        if by_inverse < by_negated:
+    inverse_disagreement = _disagreement(
+        images.rotation_rad, images.gyro_rotation_rad(stream, inverse)
+    )
+    negated_disagreement = _disagreement(
+        images.rotation_rad, images.gyro_rotation_rad(negated, calibration)
+    )
+    if min(inverse_disagreement, negated_disagreement) < 0.5 * disagreement:
+        if inverse_disagreement < negated_disagreement:
             return f"{what}half of that or less by the inverse of T_cam_imu. Is that what is meant?"
         return f"{what}they are opposite. Has the gyro the opposite sign?"
     return f"{what}is its rotation to the camera right, and is the gyro in rad/s?"

@@ -38,7 +38,7 @@ def plot(
         runs: results, or folders of ``probevo run``.
         truth: true poses T_world_cam, [N, 4, 4], m, NaN where unknown, or the truth of a sequence;
             by default those of the first ``Run`` that has them.
-        names: of the runs, for the legend; by default those of their folders, or their numbers.
+        names: names of the runs, for the legend; by default their folders or their numbers.
         kind: ``path`` from above, forward up, over the true one; or ``error``, the distance from
             the true position along the path, beside the 3σ that each run claims.
 

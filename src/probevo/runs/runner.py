@@ -28,8 +28,8 @@ from probevo.noise.base import NoiseModel
 from probevo.noise.named import is_learned, noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.headline import headline_drift
+from probevo.output.json_file import write_json
 from probevo.output.motions_file import write_motions
 from probevo.output.ros.odometry_bag import check_odometry_path, write_odometry_bag
 from probevo.output.rows import Rows
@@ -53,6 +53,7 @@ from probevo.runs.smoothed_path import SmoothedPath
 from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.base import first_frames, imu_stream_of
+from probevo.sequences.pose_files import write_kitti_poses, write_tum
 from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
@@ -220,9 +221,9 @@ class _Records:
     pictures: _Pictures
     smoothed: SmoothedPath
     timing: PairTiming
-    """Whether left and right images belong to the same frames."""
+    """Test whether left and right images belong to the same frames."""
     motions_of_images: Rows
-    """Those of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
+    """Motions of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
     fixed: FixedFeatureCount
     """Features that do not move with the scene."""
     heights: GroundHeights

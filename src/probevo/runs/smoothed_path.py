@@ -12,7 +12,7 @@ from probevo.output.rows import Rows
 
 
 class SmoothedPoses(NamedTuple):
-    """The poses of N frames, with all that later frames of the window say of them."""
+    """Poses of N frames, with the information of all later frames of the window."""
 
     T_world_cam: FloatArray
     """[N, 4, 4], m."""
@@ -45,18 +45,18 @@ class SmoothedPath:
         """Return the poses of all frames, whether they have left the window or are still in it.
 
         Args:
-            window: as it is now; None if there is none, and no poses either.
+            window: the current window; None if there is none, and no poses either.
             num_frames: leave out the frames from this number on; None for all.
         """
         if window is None:
             return None
         poses = [window.pose(slot) for slot in range(len(window))]
-        in_window = [(pose.frame, pose.T_world_cam, pose.cov) for pose in poses]
-        rows = np.concatenate([self._left.table(), np.array(in_window, _SMOOTHED)])
+        held_poses = [(pose.frame, pose.T_world_cam, pose.cov) for pose in poses]
+        rows = np.concatenate([self._left.table(), np.array(held_poses, _SMOOTHED)])
         # One row a frame, in their order: a blind frame leaves before those that features connect,
         # and a pose may have been added again.
-        frames, of_frame = np.unique(rows["frame"], return_index=True)
+        frames, row_indices = np.unique(rows["frame"], return_index=True)
         if num_frames is not None:
-            of_frame = of_frame[frames < num_frames]
-        chosen = rows[of_frame]
+            row_indices = row_indices[frames < num_frames]
+        chosen = rows[row_indices]
         return SmoothedPoses(T_world_cam=chosen["T_world_cam"], cov=chosen["cov"])

@@ -48,13 +48,13 @@ def check_regular(path: Path, most_bytes: int) -> None:
         InputError: says which.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return
-    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         raise InputError(path, "this is a pipe or a device, not a file.", "Copy it to a file.")
-    if found.st_size > most_bytes:
-        what = f"this file has {found.st_size:,} bytes; expected at most {most_bytes:,}."
+    if status.st_size > most_bytes:
+        what = f"this file has {status.st_size:,} bytes; expected at most {most_bytes:,}."
         raise InputError(path, what, "Is it the right file?")
 
 
@@ -122,7 +122,7 @@ def written_together(folder: Path) -> Iterator[Path]:
     If anything is raised meanwhile, ``folder`` keeps the files that it had.
 
     Args:
-        folder: where the files shall be; created if it is missing.
+        folder: folder for the files; created if it is missing.
 
     Raises:
         InputError: the place is not writable.
@@ -169,15 +169,15 @@ def _remove_abandoned(folder: Path) -> None:
     if os.name != "posix":  # elsewhere, there is no harmless way to ask for a process
         return
     pattern = re.compile(rf".+\.{_host()}-(\d{{1,9}})-[0-9a-f]{{8}}\.part")
-    for other in folder.iterdir():
-        match = pattern.fullmatch(other.name)
+    for entry in folder.iterdir():
+        match = pattern.fullmatch(entry.name)
         if match is None or _is_running(int(match[1])):
             continue
-        if other.is_dir() and not other.is_symlink():
-            shutil.rmtree(other, ignore_errors=True)
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
         else:
             with suppress(OSError):
-                other.unlink()
+                entry.unlink()
 
 
 def _is_running(process: int) -> bool:

@@ -24,7 +24,7 @@ LOCK = ".probevo-lock"
 LONGEST_HOLDER = 200
 """Bytes of the holder's name that are read."""
 LOOKS = 20
-"""How often a file without a name is read again."""
+"""Number of times that a file without a name is read again."""
 LOOK_S = 0.05
 _FAR_BEYOND = 1 << 30
 """The byte that is locked on Windows: nobody can read a locked one."""
@@ -145,10 +145,10 @@ def _lock_on_windows(file: int) -> None:
 def _is_same(file: int, path: Path) -> bool:
     """Return whether the open file is still the one of that name."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return False
-    return os.path.samestat(os.fstat(file), found)
+    return os.path.samestat(os.fstat(file), status)
 
 
 def _own_name() -> str:

@@ -69,15 +69,15 @@ def _check_directory(path: Path, archive: zipfile.ZipFile) -> None:
     Raises:
         ValueError: it holds no arrays, or another number of them than it says.
     """
-    found = len(archive.infolist())
-    if not found:
+    num_members = len(archive.infolist())
+    if not num_members:
         raise ValueError("it holds no arrays")
     with path.open("rb") as stream:
         stream.seek(-END_BYTES - len(archive.comment), os.SEEK_END)
         end = stream.read(END_BYTES)
     claimed = int.from_bytes(end[NUM_MEMBERS], "little")
-    if claimed not in (found, ZIP64):
-        raise ValueError(f"its directory says {claimed} arrays, and names {found}")
+    if claimed not in (num_members, ZIP64):
+        raise ValueError(f"its directory says {claimed} arrays, and names {num_members}")
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> AnyArray:

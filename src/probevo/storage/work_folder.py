@@ -47,7 +47,7 @@ def moved_when_complete(work: Path, out: Path) -> Iterator[Path]:
 
     Args:
         work: the work folder, as the only writer.
-        out: where the recording shall be; missing or empty.
+        out: folder for the recording; missing or empty.
 
     Raises:
         InputError: another process has put something there meanwhile.

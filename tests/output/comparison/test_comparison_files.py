@@ -20,7 +20,7 @@ from probevo.output.comparison.comparison_files import (
     ranking_records,
     write_csv,
 )
-from probevo.output.files import write_json
+from probevo.output.json_file import write_json
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.run_config import RunConfig
 

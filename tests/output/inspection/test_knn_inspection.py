@@ -76,7 +76,7 @@ def test_column_summaries_are_those_of_the_data() -> None:
 def test_without_a_frame_the_table_shows_the_training_data_only() -> None:
     model, _, _ = view()
     units = {"weak": "m", "strong": "", "holey": ""}
-    summaries = column_summaries(units, model.points, of_frame=False)
+    summaries = column_summaries(units, model.points, is_of_frame=False)
     assert [(column.unit, column.frame_mean) for column in summaries] == [
         ("m", None),
         ("", None),

@@ -8,7 +8,7 @@ import pytest
 
 from probevo.output.inspection.sensor import (
     SHARES,
-    claimed_and_found,
+    claimed_and_actual,
     coverage_of,
     write_sensor_inspection,
 )
@@ -27,16 +27,16 @@ def errors_of(factor: float) -> SensorErrors:
 def test_a_consistent_sensor_lies_on_the_lines() -> None:
     errors = errors_of(1.0)
     np.testing.assert_allclose(coverage_of(errors), SHARES, atol=0.03)
-    claimed, found = claimed_and_found(errors)
-    np.testing.assert_allclose(found, claimed, rtol=0.05)
+    claimed, actual = claimed_and_actual(errors)
+    np.testing.assert_allclose(actual, claimed, rtol=0.05)
     assert (np.diff(claimed) > 0.0).all()
 
 
 def test_an_overconfident_one_does_not() -> None:
     errors = errors_of(2.0)
     assert (coverage_of(errors) < SHARES).all()
-    claimed, found = claimed_and_found(errors)
-    np.testing.assert_allclose(found, 2.0 * claimed, rtol=0.05)
+    claimed, actual = claimed_and_actual(errors)
+    np.testing.assert_allclose(actual, 2.0 * claimed, rtol=0.05)
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -42,7 +42,7 @@ ASIDES = (SOLVED, ANEES, OUT_OF_DOMAIN)
 
 @dataclass(frozen=True)
 class Entry:
-    """One estimator's run over one sequence, of N frames."""
+    """Run of one estimator over one sequence of N frames."""
 
     sequence: str
     """Name of the sequence."""
@@ -63,11 +63,11 @@ class Entry:
     learned_from_it: bool = False
     """Whether the noise model or a sensor was trained or calibrated on a recording of this name.
 
-    Its figures then say little of other recordings."""
+    If so, the figures of the run say little of other recordings."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:
-        """Its figures of merit, in the order and the units of ``FIGURES``; None where unknown."""
+        """Figures of merit, in the order and the units of ``FIGURES``; None where unknown."""
         metrics = self.metrics or Metrics(num_frames=0)
         has_steps = len(self.result.total_ms) > 0
         return (
@@ -80,7 +80,7 @@ class Entry:
 
     @property
     def asides(self) -> tuple[float | None, ...]:
-        """Its figures that are no errors, in the order of ``ASIDES``; None where unknown."""
+        """Figures of the run that are no errors, in the order of ``ASIDES``; None where unknown."""
         is_ok = self.result.status == Status.OK
         out_of_domain = self.result.out_of_domain
         return (
@@ -232,12 +232,12 @@ def verdicts(comparison: Comparison) -> tuple[str, ...]:
 
 def truth_note(comparison: Comparison) -> tuple[str, ...]:
     """Name the recordings without truth in a note; no note if there are none."""
-    without = [
+    names = [
         name
         for name in comparison.sequences
         if not any(entry.has_truth for entry in comparison.of(name))
     ]
-    return (f"No truth is known, and so no error: {', '.join(without)}.",) if without else ()
+    return (f"No truth is known, and so no error: {', '.join(names)}.",) if names else ()
 
 
 def column_notes(comparison: Comparison) -> tuple[str, ...]:
@@ -254,10 +254,10 @@ def column_notes(comparison: Comparison) -> tuple[str, ...]:
     }
     notes = [text for column, text in explanations.items() if column in comparison.columns]
     if any(
-        found.is_significant
+        difference.is_significant
         for rankings in comparison.rankings.values()
         for ranking in rankings.values()
-        for found in ranking.against.values()
+        for difference in ranking.against.values()
     ):
         notes.append(
             "What differs on a recording need not on the next: an error that is constant all"

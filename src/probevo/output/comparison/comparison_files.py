@@ -98,13 +98,13 @@ def ranking_records(comparison: Comparison) -> dict[str, dict[str, object]]:
                     rival: dict(
                         zip(
                             ("reduction_percent", "low_percent", "high_percent"),
-                            found.reduction_percent,
+                            difference.reduction_percent,
                             strict=True,
                         ),
-                        p_value=found.p_value,
-                        is_significant=found.is_significant,
+                        p_value=difference.p_value,
+                        is_significant=difference.is_significant,
                     )
-                    for rival, found in ranking.against.items()
+                    for rival, difference in ranking.against.items()
                 },
             }
             for error, ranking in rankings.items()

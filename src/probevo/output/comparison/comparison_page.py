@@ -1,4 +1,4 @@
-"""One self-contained page that shows several estimators side by side."""
+"""Self-contained page that shows several estimators side by side."""
 
 from __future__ import annotations
 
@@ -113,9 +113,9 @@ def _sequence_sections(
             errors_figure(entries, colors),
             name=f"errors-{number}",
         )
-        by_axis = []
+        axis_panels = []
         if has_truth:
-            by_axis.append(
+            axis_panels.append(
                 row_panel(
                     "Error by axis",
                     "Pose along each run’s own camera axes; each scale is that of its errors.",
@@ -126,7 +126,7 @@ def _sequence_sections(
     return [
         heading(entries[0].sequence, aside),
         grid([paths, errors]),
-        *by_axis,
+        *axis_panels,
         frames_section(_pictures(entries)),
     ]
 

@@ -1,4 +1,4 @@
-"""What learned noise models gain or lose against one that needs no training, in words."""
+"""Gains and losses of learned noise models against one that needs no training, in words."""
 
 from __future__ import annotations
 
@@ -43,9 +43,11 @@ def learning_gains(
             if baseline in runs and estimator in runs:
                 # All comparisons with the baseline, by each error, hold together (Bonferroni).
                 confidence = 1.0 - (1.0 - CONFIDENCE) / (len(learned) * len(_NAMES))
-                found = _differences(runs[estimator], runs[baseline], confidence)
-                if found:
-                    sentences.append(f"{name}: against {baseline}, {estimator} {_changes(found)}.")
+                differences = _differences(runs[estimator], runs[baseline], confidence)
+                if differences:
+                    sentences.append(
+                        f"{name}: against {baseline}, {estimator} {_changes(differences)}."
+                    )
     return tuple(sentences)
 
 
@@ -61,11 +63,11 @@ def _differences(entry: Entry, baseline: Entry, confidence: float) -> dict[str, 
     )
 
 
-def _changes(found: dict[str, PairedDifference]) -> str:
+def _changes(differences: dict[str, PairedDifference]) -> str:
     """Describe the differences, such as "has less drift by 42 %; its other errors …"."""
     less: list[str] = []
     more: list[str] = []
-    for error, difference in found.items():
+    for error, difference in differences.items():
         if difference.is_significant:
             percent = difference.reduction_percent[0]
             changed = less if percent > 0.0 else more
@@ -77,6 +79,6 @@ def _changes(found: dict[str, PairedDifference]) -> str:
         clauses.append(f"has less {listed(less)}")
     if more:
         clauses.append(f"has more {listed(more)}")
-    if len(less) + len(more) < len(found):
+    if len(less) + len(more) < len(differences):
         clauses.append("its other errors do not differ beyond the noise of repetition")
     return "; ".join(clauses)

@@ -38,7 +38,7 @@ class Ranking:
     @property
     def leaders(self) -> frozenset[str]:
         """The best and whoever cannot be distinguished from it; nobody if that holds for all."""
-        close = {name for name, found in self.against.items() if not found.is_significant}
+        close = {name for name, difference in self.against.items() if not difference.is_significant}
         if len(close) == len(self.against):
             return frozenset()
         return frozenset({self.best, *close})
@@ -85,9 +85,9 @@ def rank(
                     draws=draws,
                 )
         against = {rival: tested[best, rival] for rival in known if rival != best}
-        if all(error in found for found in against.values()):
+        if all(error in differences for differences in against.values()):
             rankings[error] = Ranking(
-                best, {rival: found[error] for rival, found in against.items()}
+                best, {rival: differences[error] for rival, differences in against.items()}
             )
     return rankings
 
@@ -108,15 +108,17 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
             continue
         ranking = rankings[error]
         worse = [
-            f"than {rival} by {_percent(found)}"
-            for rival, found in ranking.against.items()
-            if found.is_significant
+            f"than {rival} by {_percent(difference)}"
+            for rival, difference in ranking.against.items()
+            if difference.is_significant
         ]
         if worse:
             clauses.append(
                 f"{ranking.best} drifts less in {name} on this recording {listed(worse)}"
             )
-        close = [rival for rival, found in ranking.against.items() if not found.is_significant]
+        close = [
+            rival for rival, difference in ranking.against.items() if not difference.is_significant
+        ]
         if close:
             alike.setdefault(frozenset({ranking.best, *close}), []).append(name)
     clauses += [
@@ -132,9 +134,9 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
     return f"{'; '.join(clauses)}."
 
 
-def _percent(found: PairedDifference) -> str:
+def _percent(difference: PairedDifference) -> str:
     """Give the reduction with its interval, such as ``12 % (95 %: 5 to 18 %)``."""
-    value, low, high = found.reduction_percent
+    value, low, high = difference.reduction_percent
     digits = 0 if low >= 1.0 else 1
     return (
         f"{value:.{digits}f} % ({100.0 * CONFIDENCE:.0f} %: {low:.{digits}f} to"

@@ -40,7 +40,9 @@ def _sentence(entries: Sequence[Entry]) -> str:
     # A run that was stopped has fewer frames: the paths are compared where the shortest one ends.
     last = min(len(entry.result) for entry in entries) - 1
     ends_m = [drift.T_world_cam[last, :3, 3] for drift in drifts]
-    apart_m = max(float(np.linalg.norm(one - other)) for one, other in combinations(ends_m, 2))
+    apart_m = max(
+        float(np.linalg.norm(end_m - other_end_m)) for end_m, other_end_m in combinations(ends_m, 2)
+    )
     distance_m = float(drifts[0].distance_m[last])
     return (
         "no truth is known, and so no error: nothing says which estimator is better. What is"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,76 @@ import yaml
 from markupsafe import Markup
 
 from probevo.arrays import FloatArray
-from probevo.output.inspection.subject import FrameView, Picture
-from probevo.output.page import body_panel, details, pictures, table_panel
-from probevo.output.table import text_table
+from probevo.output.inspection.subject import Findings, FrameView, Picture
+from probevo.output.inspection.terms import column_notes
+from probevo.output.page import body_panel, details, grid, heading, pictures, table_panel
+from probevo.output.table import Table, text_table
 
-IN_THE_FRAME = "In this frame"
 HOW_IT_WAS_TRAINED = "How it was trained"
-"""Headings of the parts behind what was learned."""
+"""Heading of the last part of a page."""
 _SHORT_HASH = 12
+
+
+@dataclass(frozen=True)
+class FramePart:
+    """The part of a page that shows a frame as the model sees it."""
+
+    frame: FrameView
+    pictures: Mapping[str, Picture]
+    """Pictures of the frame, by the names of their files."""
+    panels: Sequence[Markup]
+    """Panels that compare the frame with the training data."""
+    remark: str = ""
+    """Remark that the note above the pictures ends with."""
+
+
+@dataclass(frozen=True)
+class ModelPage:
+    """The parts of the page on a model with predictors, from top to bottom."""
+
+    learned: Sequence[Markup]
+    """Sections on what the model has learned."""
+    table: Table
+    """Table with a row for each column of the predictors."""
+    samples: str
+    """Name of the samples that the table describes if there is no frame."""
+    frame_part: FramePart | None
+    """None if only the model is inspected."""
+    origin: Sequence[Markup]
+    """Sections on the training."""
+
+    def findings(
+        self, facts: Mapping[str, str], terms: Mapping[str, str], text_below: str = ""
+    ) -> Findings:
+        """Arrange the parts.
+
+        Args:
+            facts: facts about the model at the top of the page, by name.
+            terms: meanings of those facts that only a model of this kind has, by name.
+            text_below: text for the terminal below the table.
+        """
+        has_frame = self.frame_part is not None
+        table = self.table if has_frame else self.table.without("this frame")
+        notes = column_notes(table.heads, has_frame=has_frame, samples=self.samples)
+        sections = [
+            *self.learned,
+            table_panel("The predictors in figures", [" ".join(notes)], table.without("unit")),
+        ]
+        drawn: Mapping[str, Picture] = {}
+        if self.frame_part is not None:
+            frame, drawn = self.frame_part.frame, self.frame_part.pictures
+            sections.append(heading("In this frame"))
+            sections.append(pictures_section(frame, drawn, self.frame_part.remark))
+            sections.append(grid(self.frame_part.panels))
+        sections += self.origin
+        return Findings(
+            sections=tuple(sections),
+            text=table.as_text() + text_below,
+            notes=notes,
+            facts=facts,
+            terms=terms,
+            pictures=drawn,
+        )
 
 
 def percent(share: float) -> str:

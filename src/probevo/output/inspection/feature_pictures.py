@@ -47,7 +47,7 @@ class Shades:
     colors_bgr: FloatArray
     """Colours along the bar, [256, 3]."""
     name: str
-    """What the colours mean, with its unit."""
+    """Meaning of the colours, with its unit."""
     ends: tuple[str, str]
     """Numbers at both ends of the bar."""
     middle: str = ""
@@ -85,9 +85,9 @@ def weight_shades(beta: FloatArray) -> Shades:
     logs = np.log(beta)
     reach = max(float(np.quantile(np.abs(logs), 1.0 - _QUANTILE)), 0.01) if len(beta) else 1.0
     knots = np.linspace(0.0, 1.0, len(TRUST_COLORS_BGR))
-    at = np.linspace(0.0, 1.0, 256)
+    positions = np.linspace(0.0, 1.0, 256)
     colors = np.stack(
-        [np.interp(at, knots, channel) for channel in TRUST_COLORS_BGR[::-1].T], axis=1
+        [np.interp(positions, knots, channel) for channel in TRUST_COLORS_BGR[::-1].T], axis=1
     )
     low, high = np.exp([-reach, reach]).tolist()
     ends = _end_texts(low, high, beta)

@@ -9,9 +9,9 @@ from probevo.noise.base import StereoNoise
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.output.inspection.common_sections import (
     HOW_IT_WAS_TRAINED,
-    IN_THE_FRAME,
+    FramePart,
+    ModelPage,
     percent,
-    pictures_section,
     settings_section,
     training_section,
 )
@@ -43,7 +43,6 @@ from probevo.output.inspection.subject import (
     Subject,
     TrainingSummary,
 )
-from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import (
     em_figure,
     em_note,
@@ -89,41 +88,27 @@ def sections(subject: Subject) -> Findings:
     """Show what a PROBE-GK model has learned and, of a frame, the noise of its features."""
     view = CentersView.of(subject.name, subject.model, subject.units)
     frame = subject.frame
-    noise = None if frame is None else view.model.predict(frame.phi)
-    pictures: dict[str, Picture] = {}
-    shown: list[Markup] = []
-    table = weighted_table(view, frame)
-    if frame is None:
-        table = table.without("this frame")
-    notes = column_notes(table.heads, has_frame=frame is not None, samples="the centers")
-    text = table.as_text()
     facts = _facts(view)
-    # First what was learned.
-    with figure_style():
-        shown += _learned_sections(view, frame)
-    in_figures = table_panel("The predictors in figures", [" ".join(notes)], table.without("unit"))
-    shown.append(in_figures)
-    # Then the frame, and its noise beside that of the training data.
-    if frame is not None and noise is not None:
-        outside = percent(share_out_of_domain(noise))
-        text += f"\n\nout of domain: {outside} of the features"
-        facts = {"Out of domain": outside} | facts
+    text_below = ""
+    frame_part = None
+    if frame is not None:
+        noise = view.model.predict(frame.phi)
+        share_outside = percent(share_out_of_domain(noise))
+        facts = {"Out of domain": share_outside} | facts
+        text_below = f"\n\nout of domain: {share_outside} of the features"
         pictures = frame_pictures(view, frame, noise)
-        shown.append(heading(IN_THE_FRAME, ""))
-        shown.append(pictures_section(frame, pictures, _OUT_OF_DOMAIN_REMARK))
         with figure_style():
-            shown.append(grid(_frame_panels(view, noise)))
-    # Last, where it comes from.
+            panels = _frame_panels(view, noise)
+        frame_part = FramePart(frame, pictures, panels, _OUT_OF_DOMAIN_REMARK)
     with figure_style():
-        shown += _origin_sections(view, frame)
-    return Findings(
-        sections=tuple(shown),
-        text=text,
-        notes=notes,
-        facts=facts,
-        terms=_TERMS,
-        pictures=pictures,
-    )
+        page = ModelPage(
+            learned=_learned_sections(view, frame),
+            table=weighted_table(view, frame),
+            samples="the centers",
+            frame_part=frame_part,
+            origin=_origin_sections(view, frame),
+        )
+    return page.findings(facts, _TERMS, text_below)
 
 
 def summary(model: GeneralizedKernel) -> TrainingSummary:
@@ -310,7 +295,7 @@ def _learned_sections(view: CentersView, frame: FrameView | None) -> list[Markup
 
 def _origin_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
     """Show how the model was trained, and where its centers lie."""
-    shown = [heading(HOW_IT_WAS_TRAINED, ""), grid(_origin_panels(view))]
+    shown = [heading(HOW_IT_WAS_TRAINED), grid(_origin_panels(view))]
     if len(view.used) > 1:
         centers_note = "In the colour of their σ."
         if frame is not None:

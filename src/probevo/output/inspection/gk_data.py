@@ -38,9 +38,10 @@ class UsedColumn:
     """Index among the M columns."""
     name: str
     weight: float
-    """How much a standard deviation of it counts in the distance."""
+    """Weight of a standard deviation of the column in the distance."""
     gain: float | None
-    """What it adds, beside those before it, nats a feature; None if it was not searched for."""
+    """Likelihood that the column adds to those before it, nats a feature; None if it was not
+    searched for."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class Course:
     quantiles: FloatArray
     """16, 50 and 84 % of the value, [3, B]."""
     undefined: FloatArray | None
-    """The same where the column is undefined, [3]; None if it never is."""
+    """Quantiles of the value where the column is undefined, [3]; None if it never is."""
 
 
 def course_along(column: FloatArray, values: FloatArray) -> Course:

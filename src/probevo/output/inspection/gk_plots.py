@@ -35,7 +35,7 @@ from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, ORAN
 COLORS = (CYCLE[0], CYCLE[2], CYCLE[3])
 """Colours of the three ``AXES``."""
 _MAX_LETTERS = 8
-"""Of two neighbouring ticks that fit side by side."""
+"""Most letters of two neighbouring ticks that fit side by side."""
 _LOGARITHMIC = ("σ, px", "ν")
 _NAMES = {"u_l": "$u_l$", "v_l": "$v_l$", "disparity": "disparity"}
 
@@ -54,10 +54,10 @@ def course_figure(view: CentersView, k: int, frame: FrameView | None) -> Figure:
     values = view.points[:, k]
     features = None if frame is None else frame.phi[:, column.index]
     apart = draw_column(below, values, features, view.units.get(column.name, ""))
-    for axes, (name, each), limits in zip(above, shown.items(), _limits(view), strict=True):
-        colors = COLORS if each.shape[1] == len(AXES) else (BLUE,)
-        for color, axis, one in zip(colors, AXES, each.T, strict=False):
-            _draw_course(axes, values, one, apart=apart, color=color, label=_NAMES[axis])
+    for axes, (name, quantity), limits in zip(above, shown.items(), _limits(view), strict=True):
+        colors = COLORS if quantity.shape[1] == len(AXES) else (BLUE,)
+        for color, axis, component in zip(colors, AXES, quantity.T, strict=False):
+            _draw_course(axes, values, component, apart=apart, color=color, label=_NAMES[axis])
         axes.set(ylim=limits, ylabel=name)
         if name in _LOGARITHMIC:
             axes.set_yscale("log")
@@ -80,8 +80,10 @@ def _shown(view: CentersView) -> dict[str, FloatArray]:
 def _limits(view: CentersView) -> list[tuple[float, float]]:
     """Choose the same scales for all columns, so that their strengths compare."""
     limits = []
-    for name, each in _shown(view).items():
-        courses = [course_along(column, one) for column in view.points.T for one in each.T]
+    for name, quantity in _shown(view).items():
+        courses = [
+            course_along(column, component) for column in view.points.T for component in quantity.T
+        ]
         ends = [course.quantiles.ravel() for course in courses]
         ends += [course.undefined for course in courses if course.undefined is not None]
         low, high = np.quantile(np.concatenate(ends), [0.0, 1.0]).tolist()

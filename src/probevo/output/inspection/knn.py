@@ -9,9 +9,9 @@ from probevo.arrays import FloatArray
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.output.inspection.common_sections import (
     HOW_IT_WAS_TRAINED,
-    IN_THE_FRAME,
+    FramePart,
+    ModelPage,
     percent,
-    pictures_section,
     settings_section,
     training_section,
 )
@@ -39,9 +39,8 @@ from probevo.output.inspection.subject import (
     Subject,
     TrainingSummary,
 )
-from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import origin
-from probevo.output.page import grid, heading, panel, row_panel, table_panel
+from probevo.output.page import grid, heading, panel, row_panel
 from probevo.output.svg import figure_style
 from probevo.output.table import readable, text_table
 from probevo.output.templating import rendered
@@ -72,36 +71,21 @@ def sections(subject: Subject) -> Findings:
     """Show what a PROBE model has learned and, of a frame, the weights of its features."""
     view = ModelView.of(subject.name, subject.model, subject.units)
     frame = subject.frame
-    weights = None if frame is None else FrameWeights.of(view.model, frame.phi)
-    pictures: dict[str, Picture] = {}
-    shown: list[Markup] = []
-    # First what was learned: along the columns, and in figures.
-    with figure_style():
-        shown += _learned_sections(view, frame)
-    table = column_table(_column_summaries(view, frame))
-    if frame is None:
-        table = table.without("this frame")
-    notes = column_notes(table.heads, has_frame=frame is not None, samples="the training samples")
-    in_figures = table_panel("The predictors in figures", [" ".join(notes)], table.without("unit"))
-    shown.append(in_figures)
-    # Then the frame, and where it lies among the training data.
-    if frame is not None and weights is not None:
+    frame_part = None
+    if frame is not None:
+        weights = FrameWeights.of(view.model, frame.phi)
         pictures = frame_pictures(view, frame, weights)
-        shown.append(heading(IN_THE_FRAME, ""))
-        shown.append(pictures_section(frame, pictures))
         with figure_style():
-            shown.append(grid(_frame_panels(view, weights)))
-    # Last, where it comes from.
+            frame_part = FramePart(frame, pictures, _frame_panels(view, weights))
     with figure_style():
-        shown += _origin_sections(view, frame)
-    return Findings(
-        sections=tuple(shown),
-        text=table.as_text(),
-        notes=notes,
-        facts=_facts(view),
-        terms=_TERMS,
-        pictures=pictures,
-    )
+        page = ModelPage(
+            learned=_learned_sections(view, frame),
+            table=column_table(_column_summaries(view, frame)),
+            samples="the training samples",
+            frame_part=frame_part,
+            origin=_origin_sections(view, frame),
+        )
+    return page.findings(_facts(view), _TERMS)
 
 
 def summary(model: NearestNeighbors) -> TrainingSummary:
@@ -119,7 +103,7 @@ def summary(model: NearestNeighbors) -> TrainingSummary:
     for name, search in model.training["searches"].items():
         searched = SEARCHED[name]
         candidates = [f"{candidate:g}" for candidate in search["candidates"]]
-        errors = [f"{searched.to_unit * error:.4g}" for error in search["errors"]]
+        errors = [f"{searched.unit_factor * error:.4g}" for error in search["errors"]]
         rows = [(searched.errors, *errors)]
         paragraphs.append(text_table((searched.symbol, *candidates), rows).as_text())
     if model.exponent == 0.0:
@@ -160,7 +144,7 @@ def _column_summaries(view: ModelView, frame: FrameView | None) -> list[ColumnSu
         frame.columns if frame is not None else units,
         frame.phi if frame is not None else view.points,
         (metric.mean, metric.spread),
-        of_frame=frame is not None,
+        is_of_frame=frame is not None,
     )
 
 
@@ -246,7 +230,7 @@ def _origin_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
     )
     correlation = correlation_figure(view)
     origins.append(panel("Correlation of the columns", correlation_note, correlation))
-    shown = [heading(HOW_IT_WAS_TRAINED, ""), grid(origins)]
+    shown = [heading(HOW_IT_WAS_TRAINED), grid(origins)]
     if len(view.columns) > 1:
         pairs_note = "Blue: density of the training samples."
         if frame is not None:

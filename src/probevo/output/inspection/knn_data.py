@@ -31,25 +31,25 @@ class Searched(NamedTuple):
 
     symbol: str
     errors: str
-    """What the candidates are compared by."""
+    """Errors by which the candidates are compared, in words."""
     errors_in_short: str
-    """The same, above a small figure."""
-    to_unit: float
+    """Shorter name of the errors, for a small figure."""
+    unit_factor: float
     """Factor on the errors to the unit that they are shown in."""
 
 
 SEARCHED = {
     "neighbors": Searched(
-        "K", "squared error of left-out samples", "squared error, left-out samples", to_unit=1.0
+        "K", "squared error of left-out samples", "squared error, left-out samples", unit_factor=1.0
     ),
     "exponent": Searched(
         "γ",
         "mean error on the training drives, mm",
         "mean α, training drives, mm",
-        to_unit=1e3,
+        unit_factor=1e3,
     ),
 }
-"""By the name in the log of the searches."""
+"""The hyperparameters, by their names in the log of the searches."""
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
     for axes, name in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
         searched = SEARCHED[name]
         candidates = searches[name]["candidates"]
-        errors = searched.to_unit * np.array(searches[name]["errors"])
+        errors = searched.unit_factor * np.array(searches[name]["errors"])
         ranks = np.arange(len(candidates))
         axes.plot(ranks, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
         chosen = int(np.argmin(np.abs(np.array(candidates) - searches[name]["chosen"])))

@@ -75,7 +75,7 @@ def drawn(
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """One column of φ in figures; None where it is not known."""
+    """Figures on a column of φ; None where unknown."""
 
     name: str
     unit: str
@@ -92,7 +92,7 @@ def column_summaries(
     phi: FloatArray,
     training: tuple[FloatArray, FloatArray] | None = None,
     *,
-    of_frame: bool = True,
+    is_of_frame: bool = True,
 ) -> list[ColumnSummary]:
     """Summarise each column of φ.
 
@@ -101,7 +101,7 @@ def column_summaries(
         phi: points of the frame's features, or else of the training samples, [N, M]; NaN where
             undefined.
         training: mean and standard deviation of each column over the training data, [M] each.
-        of_frame: whether ``phi`` is that of a frame.
+        is_of_frame: whether ``phi`` is that of a frame.
     """
     summaries = []
     for m, (name, unit) in enumerate(columns.items()):
@@ -114,7 +114,7 @@ def column_summaries(
                 name=name,
                 unit=unit,
                 training=mean_and_spread,
-                frame_mean=float(known.mean()) if of_frame and len(known) else None,
+                frame_mean=float(known.mean()) if is_of_frame and len(known) else None,
                 undefined=1.0 - len(known) / max(len(phi), 1),
             )
         )
@@ -128,7 +128,7 @@ def column_table(
     """Make a table with a row for each of the M columns of φ.
 
     Args:
-        summaries: of each column, [M].
+        summaries: summary of each column, [M].
         further: columns of the table that follow the unit, with their values, [M] each.
     """
     further = further or {}

@@ -56,12 +56,12 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     used, bins = np.unique(bins, return_inverse=True)
     mean, error, number = _bin_means(bins, log_alpha)
     # Variance between the bins, less the one that chance would give their means.
-    between = np.sum(number * ((mean - log_alpha.mean()) ** 2 - error**2)) / len(values)
+    variance_between = np.sum(number * ((mean - log_alpha.mean()) ** 2 - error**2)) / len(values)
     total = float(log_alpha.var())
     regular = used < MAX_BINS
     center = np.array([np.median(values[bins == b]) for b in np.flatnonzero(regular)])
     undefined = None if known.all() else (float(mean[-1]), float(error[-1]))
-    share = float(np.clip(between / total, 0.0, 1.0)) if total > 0.0 else 0.0
+    share = float(np.clip(variance_between / total, 0.0, 1.0)) if total > 0.0 else 0.0
     return Profile(
         center,
         mean[regular],

@@ -31,16 +31,19 @@ def write_sensor_inspection(
 
     Args:
         out: its folder.
-        name: of the sensor's file.
+        name: name of the sensor's file.
         recording: name of the recording.
-        errors: of the sensor on it.
+        errors: errors of the sensor on the recording.
         learned_from_it: whether the sensor was trained or calibrated on a recording of this name.
 
     Raises:
         InputError: the file cannot be written.
     """
     covered = coverage_of(errors)
-    rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
+    rows = [
+        (f"{share:.0%}", f"{share_covered:.0%}")
+        for share, share_covered in zip(SHARES, covered, strict=True)
+    ]
     squared = squared_mahalanobis(errors.errors, errors.covariances)
     scale = float(np.mean(squared) / errors.errors.shape[1])
     facts = {
@@ -94,7 +97,7 @@ def coverage_of(errors: SensorErrors) -> FloatArray:
     return covered
 
 
-def claimed_and_found(
+def claimed_and_actual(
     errors: SensorErrors, axes: slice = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
     """Return RMS claimed σ and RMS error of groups of equal size by claimed σ, axes as one."""
@@ -103,8 +106,8 @@ def claimed_and_found(
     groups = [group for group in np.array_split(order, BINS) if len(group)]
     squares = (errors.errors[:, axes] ** 2).ravel()
     claimed = [np.sqrt(np.mean(variances[group])) for group in groups]
-    found = [np.sqrt(np.mean(squares[group])) for group in groups]
-    return np.array(claimed), np.array(found)
+    actual = [np.sqrt(np.mean(squares[group])) for group in groups]
+    return np.array(claimed), np.array(actual)
 
 
 class _KindOfAxes(NamedTuple):
@@ -114,16 +117,16 @@ class _KindOfAxes(NamedTuple):
     axes: slice
     unit: str
     factor: float
-    """From m or rad to the unit."""
+    """Factor from m or rad to the unit."""
     label: str
-    """Of the axes, in words."""
+    """Name of the axes, in words."""
 
 
 def _kinds_of_axes(errors: SensorErrors) -> list[_KindOfAxes]:
     """Return the lengths, if there are any, and the angles."""
     lengths = errors.num_lengths
-    of_angles = "about x, y, z" if errors.errors.shape[1] - lengths == 3 else "of both angles"
-    angles = _KindOfAxes("Error of angles", slice(lengths, None), "°", 180.0 / np.pi, of_angles)
+    angle_label = "about x, y, z" if errors.errors.shape[1] - lengths == 3 else "of both angles"
+    angles = _KindOfAxes("Error of angles", slice(lengths, None), "°", 180.0 / np.pi, angle_label)
     if not lengths:
         return [angles._replace(name="Error")]
     return [_KindOfAxes("Error of lengths", slice(lengths), " mm", 1e3, "along x, y, z"), angles]
@@ -157,12 +160,12 @@ def _calibration(covered: FloatArray) -> Figure:
 
 
 def _against_claimed(errors: SensorErrors, kind: _KindOfAxes) -> Figure:
-    claimed, found = (kind.factor * values for values in claimed_and_found(errors, kind.axes))
+    claimed, actual = (kind.factor * values for values in claimed_and_actual(errors, kind.axes))
     figure = Figure(figsize=(NARROW_IN, 2.9))
     axes = figure.subplots()
-    reach = [min(claimed.min(), found.min()), max(claimed.max(), found.max())]
+    reach = [min(claimed.min(), actual.min()), max(claimed.max(), actual.max())]
     axes.plot(reach, reach, color=GREY, lw=0.8)
-    axes.plot(claimed, found, color=BLUE, marker="o", ms=4, lw=1.5)
+    axes.plot(claimed, actual, color=BLUE, marker="o", ms=4, lw=1.5)
     unit = kind.unit.strip()
     axes.set(xlabel=f"claimed σ, {unit}", ylabel=f"RMS error, {unit}", xscale="log", yscale="log")
     # Plain numbers, also between powers of ten, of which such a narrow range may have none.

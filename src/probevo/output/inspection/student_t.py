@@ -47,9 +47,9 @@ def sections(subject: Subject) -> Findings:
     panels.append(training_section(training))
     shown.append(grid(panels))
     if subject.frame is not None:
-        of_frame = predictors.sections(subject, _FRAME_REMARK)
-        pictures = dict(of_frame.pictures)
-        shown += of_frame.sections
+        frame_findings = predictors.sections(subject, _FRAME_REMARK)
+        pictures = dict(frame_findings.pictures)
+        shown += frame_findings.sections
     shown.append(settings_section(training))
     facts = {
         "Trained on": origin(training) or "not known",

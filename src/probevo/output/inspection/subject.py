@@ -65,7 +65,7 @@ class Findings:
     text: str
     """Text for the terminal."""
     notes: tuple[str, ...] = ()
-    """What the heads and symbols of the text mean, one sentence each."""
+    """Explanations of the heads and symbols of the text, one sentence each."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Facts about the model at the top of the page, by name."""
     terms: Mapping[str, str] = field(default_factory=dict)

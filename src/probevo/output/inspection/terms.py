@@ -1,4 +1,4 @@
-"""What the terms on the pages of ``probevo inspect``, and in its tables, mean."""
+"""Meanings of the terms on the pages of ``probevo inspect`` and in its tables."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FACTS = {
         " residual of a step, from two frames (residuals as a whole)."
     ),
 }
-"""What the facts at the top of a page mean, whatever the kind of the model."""
+"""Meanings of the facts at the top of a page that models of all kinds have."""
 _COLUMNS = {
     "weight": (
         "how much a standard deviation counts in the distance between features; a column without"
@@ -43,14 +43,14 @@ _COLUMNS = {
     "training": "mean and standard deviation of all features learned from",
     "this frame": "mean of the frame’s features",
 }
-"""What the heads of the tables of predictors mean."""
+"""Meanings of the heads of the tables of predictors."""
 
 
 def meanings(names: Collection[str], own: Mapping[str, str]) -> dict[str, str]:
     """Return the meanings of those facts of a page that have one, in the order of the facts.
 
     Args:
-        names: of the facts.
+        names: names of the facts.
         own: meanings of the facts that only models of this kind have.
     """
     known = {**_FACTS, **own}
@@ -63,7 +63,7 @@ def column_notes(heads: Collection[str], *, has_frame: bool, samples: str) -> tu
     Args:
         heads: titles of its columns.
         has_frame: whether the table is about a frame.
-        samples: whose share is undefined without a frame.
+        samples: name of the samples that the table describes without a frame.
     """
     whose = "the frame’s features" if has_frame else samples
     known = {**_COLUMNS, "undefined": f"share of {whose} for which it has no value"}

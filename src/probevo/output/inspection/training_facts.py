@@ -1,4 +1,4 @@
-"""How a model was trained, in the words and figures that terminal and pages have in common."""
+"""Words and figures on the training of a model, for terminal and pages."""
 
 from __future__ import annotations
 

@@ -122,9 +122,9 @@ def write_report(
         body_panel(name, [], text, style="warning")
         for name, text in run_warnings(result, truth).items()
     ]
-    against_truth = Markup("")
+    truth_panel = Markup("")
     if metrics is not None:
-        against_truth = table_panel("Against the truth", [], metrics_table(metrics), style="texts")
+        truth_panel = table_panel("Against the truth", [], metrics_table(metrics), style="texts")
     write_page(
         path,
         description.title,
@@ -133,7 +133,7 @@ def write_report(
             *warnings,
             rendered("key_figures", cards=_key_figures(result, drift, metrics, truth_noise)),
             grid(figures),
-            against_truth,
+            truth_panel,
             frames_section(thumbnails),
             details("Configuration", description.config),
         ],
@@ -262,15 +262,15 @@ def _figures(
 
 def _status_note(result: RunResult) -> str:
     """Name the statuses other than OK, and explain what the lines of a long run show."""
-    found = {Status(status) for status in np.unique(result.status)}
-    reckoned = [status_label(status) for status in sorted(found - {Status.OK, Status.RECOVERED})]
+    statuses = {Status(status) for status in np.unique(result.status)}
+    reckoned = [status_label(status) for status in sorted(statuses - {Status.OK, Status.RECOVERED})]
     size = group_size(result)
     grouped = f" Line: the fewest tracks of every {size} steps." if size > 1 else ""
     medians = (
         f"{np.median(result.num_tracks):,.0f} tracks in the median,"
         f" {np.median(result.num_inliers):,.0f} of them inliers."
     )
-    if found <= {Status.OK}:
+    if statuses <= {Status.OK}:
         return f"Every step is OK; {medians}{grouped}"
     note = ""
     if reckoned:
@@ -278,7 +278,7 @@ def _status_note(result: RunResult) -> str:
             f"Steps without a solve ({', '.join(reckoned)}) are dead-reckoned from the last"
             " velocity, and by the IMU where it is used."
         )
-    if Status.RECOVERED in found:
+    if Status.RECOVERED in statuses:
         note += " Recovered ones lead from the last frame before, and end that uncertainty."
     return f"{note.strip()} {medians}{grouped}"
 

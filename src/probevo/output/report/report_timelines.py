@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
-from probevo.output.domain import WARN_ABOVE
+from probevo.output.domain_warning import WARN_ABOVE
 from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
@@ -112,7 +112,7 @@ def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunRe
 
     Args:
         num_used: features used in the solve of each step, [N-1].
-        num_out_of_domain: those of them out of domain, [N-1].
+        num_out_of_domain: number of those out of domain, [N-1].
         result: the run, for its times.
     """
     starts, edges_s = _groups(result)

@@ -107,7 +107,7 @@ class BagWriter:
             return 0.0 if detail[0] in FLOAT_TYPES else 0
         (element_kind, element), count = detail
         if element_kind.name == "NAME":
-            return [self._built(element, each) for each in given or ()]
+            return [self._built(element, value) for value in given or ()]
         if element[0] == "string":
             return list(given or ())
         dtype = "uint8" if element[0] in ("byte", "char", "octet") else element[0]

@@ -66,7 +66,7 @@ def write_recording_bag(
         # Two ascending streams, merged by their stamps.
         last_ns = int(sequence.stamps_ns[num_frames - 1])
         pairs = ((pair.stamp_ns, 1, pair) for pair in _pairs(sequence, num_frames))
-        for _, _, item in heapq.merge(_imu_rows(samples), pairs, key=lambda each: each[:2]):
+        for _, _, item in heapq.merge(_imu_rows(samples), pairs, key=lambda entry: entry[:2]):
             if isinstance(item, StereoPair):
                 _write_pair(bag, sequence, item, is_compressed=is_compressed)
                 on_frame(item.index)

@@ -61,8 +61,10 @@ def camera_info_fields(camera: StereoCamera, *, is_right: bool) -> dict[str, Any
     shift = 0.0
     if is_right:
         product = fu_px * camera.baseline_m
-        near = (product, np.nextafter(product, 0.0), np.nextafter(product, np.inf))
-        shift = -next((each for each in near if each / fu_px == camera.baseline_m), product)
+        candidates = (product, np.nextafter(product, 0.0), np.nextafter(product, np.inf))
+        shift = -next(
+            (value for value in candidates if value / fu_px == camera.baseline_m), product
+        )
     width_px, height_px = camera.size_px or (0, 0)
     return {
         "height": height_px,

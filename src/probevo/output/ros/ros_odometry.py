@@ -32,7 +32,7 @@ class RosOdometry:
     """Mean velocity since the previous frame, linear and angular, along the axes of ``base_link``,
     [N, 6], m/s and rad/s; 0 at the first frame."""
     twist_cov: FloatArray
-    """Its covariance, [N, 6, 6]."""
+    """Covariance of ``twist``, [N, 6, 6]."""
 
 
 def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
@@ -58,7 +58,7 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
     duration_s = 1e-9 * np.diff(result.stamps_ns)[:, None]
     T_prev_curr = T_base_cam @ se3.inverse(result.T_curr_prev) @ T_cam_base
     xi = se3.log(T_prev_curr)
-    to_twist = np.linalg.inv(se3.left_jacobian(-xi)) @ adjoint / duration_s[..., None]
+    twist_jacobian = np.linalg.inv(se3.left_jacobian(-xi)) @ adjoint / duration_s[..., None]
     return RosOdometry(
         stamps_ns=result.stamps_ns,
         T_odom_base=T_odom_base,
@@ -67,7 +67,7 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
         twist_cov=np.concatenate(
             [
                 UNKNOWN_VARIANCE * np.eye(6)[None],
-                _symmetric(to_twist @ result.cov @ to_twist.mT),
+                _symmetric(twist_jacobian @ result.cov @ twist_jacobian.mT),
             ]
         ),
     )
@@ -89,7 +89,7 @@ def pose_cov_of(
     """Return the covariances of poses as ROS has them (``RosOdometry.pose_cov``), [N, 6, 6].
 
     Args:
-        path_cov: those of the left perturbations of T_cam_world, [N, 6, 6].
+        path_cov: covariances of the left perturbations of T_cam_world, [N, 6, 6].
         T_odom_base: the poses, [N, 4, 4], m.
         T_base_cam: pose of the rectified left camera in ``base_link``, [4, 4], m.
     """

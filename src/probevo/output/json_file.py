@@ -1,4 +1,4 @@
-"""Trajectories and results as files. Text is written at full precision."""
+"""Results as JSON files, with numbers at full precision."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from probevo.sequences.pose_files import write_kitti_poses as write_kitti_poses
-from probevo.sequences.pose_files import write_tum as write_tum
 from probevo.storage.files import write_atomically
 
 
