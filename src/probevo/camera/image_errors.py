@@ -104,7 +104,7 @@ class ImageEquations(NamedTuple):
     focal: ScalarEquations
     """Equations of the error ε of log f; the gradient is at ε = 0 and the estimate of c."""
     readout: ScalarEquations
-    """Equations of the readout time, s; the gradient is at the readout time by which the tracks were
+    """Equations of the readout time, s; the gradient is at the time by which the tracks were
     corrected."""
 
     def scaled(self, factor: float) -> ImageEquations:
@@ -179,7 +179,7 @@ class ImageErrors:
 
     @property
     def focal_rms(self) -> float:
-        """Root of the second moment of ε about 0, for which c is estimated: as large as the prior's,
+        """Root of the second moment of ε about 0, for which c is estimated: the prior's,
         or less where the images agree with the focal length.
 
         Where they contradict it, that may be the lenses, whose distortion looks alike; so they show
