@@ -24,7 +24,7 @@ LEVELS_IF_NEAR = 2
 
 
 class TrackedPoints(NamedTuple):
-    """Where N points are found in an image."""
+    """Where N points are is_found in an image."""
 
     pixels: FloatArray
     """(u, v), [N, 2], px; −1 where the search failed."""
@@ -92,9 +92,9 @@ def track_points(
         )
         # A point without texture on this level stays at its start
         found_px = scaled_px / scale
-    # Level 0 comes last: its status and difference are those of the result
-    found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
+    # Level 0 comes last: its status and difference belong to the result.
+    is_found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
     return TrackedPoints(
-        pixels=np.where(found[:, None], found_px, -1.0).astype(np.float64),
-        difference=np.where(found, difference[:, 0], np.inf),
+        pixels=np.where(is_found[:, None], found_px, -1.0).astype(np.float64),
+        difference=np.where(is_found, difference[:, 0], np.inf),
     )
