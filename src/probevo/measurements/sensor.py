@@ -49,16 +49,18 @@ class Reading:
     def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements of this pose alone, or of it and the world's states."""
         own = {pose, *WORLD_STATES}
-        return tuple(each for each in self.measurements if own >= set(each.variables))
+        return tuple(
+            measurement for measurement in self.measurements if own >= set(measurement.variables)
+        )
 
     def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements that also depend on the previous pose, with a bounded loss: a
         wrong one has no influence on the solve."""
         own = {pose, *WORLD_STATES}
-        others = (each for each in self.measurements if not own >= set(each.variables))
         return tuple(
             measurement.bounded() if isinstance(measurement, VectorMeasurement) else measurement
-            for measurement in others
+            for measurement in self.measurements
+            if not own >= set(measurement.variables)
         )
 
     def without_motion(self, pose: Variable) -> Reading:

@@ -24,7 +24,7 @@ LEVELS_IF_NEAR = 2
 
 
 class TrackedPoints(NamedTuple):
-    """Where N points are is_found in an image."""
+    """Where N points are found in an image."""
 
     pixels: FloatArray
     """(u, v), [N, 2], px; −1 where the search failed."""

@@ -95,7 +95,7 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
         config: settings of the search.
 
     Returns:
-        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is matches.
+        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is matched.
     """
     left_px = images.corners.reshape(-1, 2)
     left_px = left_px[np.isfinite(left_px[:, 0])]
