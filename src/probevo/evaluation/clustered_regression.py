@@ -41,7 +41,7 @@ class Regression:
     """Estimates of P coefficients."""
 
     values: FloatArray
-    """[P]."""
+    """The coefficients, [P]."""
     sigma: FloatArray
     """Their standard deviations, [P]."""
     dof: int

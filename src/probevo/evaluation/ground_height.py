@@ -76,7 +76,7 @@ class GroundHeights:
         self._points_m: FloatArray = np.zeros((0, 3))
         """Points ahead as last seen, in the frame of the current camera, [N, 3]."""
         self._disparity_px: FloatArray = np.zeros(0)
-        """Their disparity then, [N]."""
+        """Disparity of the points when last seen, [N], px."""
         self._start_ns = 0
         """When the current block began."""
         self._block: list[FloatArray] = []

@@ -18,9 +18,9 @@ class Claimed(NamedTuple):
     """Errors on one recording of N inputs, and what was claimed for them."""
 
     errors: FloatArray
-    """[N, d]"""
+    """Error of each estimate along the tangent directions, [N, d]."""
     covariances: FloatArray
-    """[N, d, d]"""
+    """Covariance claimed for each, [N, d, d]."""
     widening: FloatArray
     """Factor by which each covariance was widened because the input is unlike the training data,
     [N]."""

@@ -23,7 +23,7 @@ class Domain(NamedTuple):
     """
 
     mean: AnyArray
-    """[f]"""
+    """Mean of each feature, [f]."""
     information: AnyArray
     """Inverse of the covariance, [f, f]."""
     limit: AnyArray

@@ -48,9 +48,9 @@ class _Asked(NamedTuple):
     """The motion of the images in a step that a correction is asked about."""
 
     T_curr_prev: FloatArray
-    """[4, 4], m."""
+    """Motion, [4, 4], m."""
     cov: FloatArray
-    """[6, 6]."""
+    """Covariance of its left perturbation, [6, 6], m and rad."""
 
 
 class _Recorder(MotionCorrection):

@@ -46,9 +46,9 @@ class LinearFit(NamedTuple):
     """A linear regression on the standardised flow, in arrays of NumPy or JAX."""
 
     weights: Any
-    """[o, 2 · rows/2 · columns/2]"""
+    """Weights of each output, [o, 2 · rows/2 · columns/2]."""
     offset: Any
-    """[o]"""
+    """Offset of each output, [o]."""
 
 
 class FieldFit(NamedTuple):

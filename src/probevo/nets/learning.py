@@ -64,13 +64,13 @@ class TrainingData(eqx.Module):
     """Training and validation data of S experiments with M networks each."""
 
     inputs: jax.Array
-    """[S, N, i]"""
+    """Training inputs of each experiment, [S, N, i]."""
     targets: jax.Array
     """Targets of each network and head, [S, M, N, H, o]."""
     samples: jax.Array
     """Which of the data each network is trained on, in this order, [S, M, N], int32."""
     held_out_inputs: jax.Array
-    """[S, N', i]; N' may be 0 where there is no ``patience``."""
+    """Validation inputs, [S, N', i]; N' may be 0 where there is no ``patience``."""
     held_out_targets: jax.Array
     """True values, [S, N', o]."""
     augment: Augment | None = eqx.field(static=True, default=None)

@@ -38,9 +38,9 @@ class RandomCopies:
 
     augment: Augment
     inputs: FloatArray
-    """[N, …]"""
+    """Inputs that are copied, [N, …]."""
     targets: FloatArray
-    """[N, o]"""
+    """Target of each input, [N, o]."""
     count: int
     """Copies of each."""
     seed: int

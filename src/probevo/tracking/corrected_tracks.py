@@ -21,10 +21,10 @@ class CorrectedTracks:
     prior_rig: RigCalibration | None
     """The calibration before this frame; None without self-calibration."""
     simultaneous: Tracks
-    """With all places moved to the times of their frames: the exposure delay of the right camera
-    and the readout of the rows are removed, and nothing else."""
+    """The tracks with all places moved to the times of their frames: the exposure delay of the
+    right camera and the readout of the rows are removed, and nothing else."""
     tracks: Tracks
-    """Corrected by all of the calibration."""
+    """The tracks corrected by all of the calibration."""
     rig: RigCalibration | None
     """The calibration, its row offsets updated by this frame's stereo matches."""
     delay_s: float

@@ -31,9 +31,9 @@ class CommonUnknowns(NamedTuple):
     """Derivative of the prediction by (ξ, η, c), [N, 4, K]; K is 6 for ξ, and 6 more for each of η
     and c, if the noise has a jitter and a time-correlated error."""
     mean: FloatArray
-    """Their mean beside the solution, [K]: 0 but for c, and what it changes of η."""
+    """Mean of (ξ, η, c) beside the solution, [K]: 0 but for c, and what it changes of η."""
     cov: FloatArray
-    """Their covariance, [K, K]."""
+    """Covariance of (ξ, η, c), [K, K]."""
 
     @staticmethod
     def of(estimate: TwoFrameEstimate, motion_cov: FloatArray) -> CommonUnknowns:
