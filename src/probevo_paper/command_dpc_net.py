@@ -61,15 +61,15 @@ def repeat_experiment(settings: DpcNetConfig, out: Path) -> list[str]:
         }
         for drive in seen[settings.drives + 2 :]:
             print(f"{drive.path.name}, {calibration} calibration: correcting", flush=True)
-            found = drifts(drive, networks, _odometry(settings))
+            drift_by_method = drifts(drive, networks, _odometry(settings))
             for method in METHODS:
-                one = found[method]
+                drift = drift_by_method[method]
                 row = (calibration, _street(drive), method)
-                rows.append((*row, *_texts(one, found[UNCORRECTED])))
+                rows.append((*row, *_texts(drift, drift_by_method[UNCORRECTED])))
                 record: dict[str, object] = dict(
                     zip(("calibration", "drive", "correction"), row, strict=True)
                 )
-                records.append(record | one._asdict())
+                records.append(record | drift._asdict())
     text = "\n".join([table(HEAD, rows), "", *NOTES, ""])
     write_atomically(out / "dpc_net.txt", text)
     write_csv(out / "dpc_net.csv", iter(records))

@@ -29,7 +29,7 @@ def render(name: str, config: SceneConfig, folder: Path) -> sequences.Sequence:
 
 
 def refuse_other_camera(drives: Sequence[sequences.Sequence], option: str) -> None:
-    """Refuse drives whose camera is not that of the first, which is trained on.
+    """Refuse drives with another camera than the first, which is trained on.
 
     A model refuses such a drive, too, but only after its training.
 

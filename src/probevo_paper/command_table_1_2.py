@@ -95,11 +95,11 @@ def _own_recordings(own: tuple[Path, Path], settings: Table12Config) -> TrialRec
 def _runs(
     trials: list[TrialRecordings], models: Mapping[str, Mapping[str, Path]], out: Path
 ) -> list[compare.Job]:
-    """Plan the runs, those of learned estimators only where their model is there.
+    """Plan the runs; learned estimators run only where their model is there.
 
     Args:
         trials: the recordings of each row.
-        models: model files by the name of the row and that of the estimator.
+        models: model files by the names of row and estimator.
         out: folder for the results.
 
     """

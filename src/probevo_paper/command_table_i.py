@@ -78,7 +78,7 @@ def _train(plan: TablePlan, settings: TableIConfig, kitti: Path, out: Path) -> M
 def _runs(
     plan: TablePlan, models: Models, settings: TableIConfig, *, kitti: Path, out: Path
 ) -> list[compare.Job]:
-    """Plan the runs of each trial, those of learned estimators only where their model is there."""
+    """Plan the runs of each trial; learned estimators run only where their model is there."""
     classical = [
         compare.Estimator(NOMINAL, "fixed", settings),
         compare.Estimator(AGGRESSIVE, "fixed", compare.aggressive(settings)),

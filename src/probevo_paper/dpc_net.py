@@ -45,11 +45,11 @@ class Drift(NamedTuple):
     """Over segments of 10 to 50 m; None where there is none."""
     rotation_deg_per_m: float | None
     anees: float | None
-    """Of the steps; 6 is consistent."""
+    """Average NEES of the steps; 6 is consistent."""
 
 
 class BaselineCorrection(MotionCorrection):
-    """A correction that is a function of the motion; its covariance is that of the odometry.
+    """A correction that is a function of the motion; its covariance is the odometry's.
 
     Args:
         network: trained on the same drives; gives the inputs.

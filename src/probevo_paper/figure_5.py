@@ -27,7 +27,7 @@ from probevo_paper.figure_5_scene import (
 
 NUM_CORNERS = CORNERS[0] * CORNERS[1]
 REFINE_HALF_PX = 5
-"""Half the window of the corner refinement: as large as that of the tracking."""
+"""Half the window of the corner refinement, which is as large as in the tracking."""
 _REFINE_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 
 
@@ -91,16 +91,18 @@ class BlurObservations:
     def of(views: list[BlurView]) -> BlurObservations:
         """Collect every corner of every view whose left image shows the board."""
         instants = [k for k, view in enumerate(views) if view.left_px is not None]
-        found = [views[k] for k in instants]
-        blurs = [view.blur for view in found if view.blur is not None]
+        observed = [views[k] for k in instants]
+        blurs = [view.blur for view in observed if view.blur is not None]
         no_errors = np.zeros((0, 2))
         return BlurObservations(
-            time_s=np.repeat([view.time_s for view in found], NUM_CORNERS),
+            time_s=np.repeat([view.time_s for view in observed], NUM_CORNERS),
             instant=np.repeat(np.array(instants, dtype=np.int64), NUM_CORNERS),
-            corner=np.tile(np.arange(NUM_CORNERS), len(found)),
+            corner=np.tile(np.arange(NUM_CORNERS), len(observed)),
             blur=np.concatenate([np.zeros(0), *blurs]),
-            reprojection_px=np.concatenate([no_errors, *(view.reprojection_px for view in found)]),
-            tracking_px=np.concatenate([no_errors, *(view.tracking_px for view in found)]),
+            reprojection_px=np.concatenate(
+                [no_errors, *(view.reprojection_px for view in observed)]
+            ),
+            tracking_px=np.concatenate([no_errors, *(view.tracking_px for view in observed)]),
         )
 
 
@@ -216,7 +218,7 @@ def reproject(pixels: FloatArray) -> FloatArray:
 def track(previous: Image, left: Image, previous_px: FloatArray) -> FloatArray:
     """Track points, [N, 2], from the previous image by Lucas–Kanade, [N, 2], px; NaN where lost.
 
-    Window and pyramid are those of the odometry; the search starts at the previous points.
+    Window and pyramid are the odometry's; the search starts at the previous points.
     """
     config = TrackingConfig()
     tracked_px, status, _ = cv2.calcOpticalFlowPyrLK(

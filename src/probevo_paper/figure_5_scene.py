@@ -34,7 +34,7 @@ INSTANT_STEP_S = 0.2
 125 frames/s."""
 
 _SLOW_RATE = 0.12
-"""Speed of the first half of the motion over that of the second."""
+"""Speed of the first half of the motion over the speed of the second."""
 _BLEND_S = 0.5
 """Time constant of the transition between the halves."""
 _SINES = 3
@@ -143,7 +143,7 @@ class BoardScene:
         columns, rows = (
             np.arange(-margin, count + margin) - 0.5 * (count - 1) for count in CORNERS
         )
-        # In the world, x points forward to the board, y left and z up.
+        # The world has x forward to the board, y left and z up.
         down, across = np.meshgrid(rows, columns, indexing="ij")
         corners = np.column_stack(
             [

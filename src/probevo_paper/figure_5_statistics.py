@@ -25,7 +25,7 @@ INTERVAL_PERCENT = (2.5, 97.5)
 CORE = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 NORMAL_TAILS = 1.2
-"""Errors whose σ is up to so many times that of their core pass for normal."""
+"""Errors whose σ is up to so many times their core's pass for normal."""
 FAR_PX = 3.0
 KINDS = ("reprojection", "tracking")
 AXES = ("horizontal", "vertical")
@@ -45,7 +45,8 @@ class ErrorSummary:
     sigma_px: float
     """Standard deviation."""
     core_px: float
-    """Robust standard deviation, that of the core: 1.4826 times the median absolute deviation."""
+    """Robust standard deviation, which describes the core: 1.4826 times the median absolute
+    deviation."""
     median_px: float
     far_share: float
     """Share of the errors beyond 3 px."""

@@ -13,7 +13,7 @@ EXPERIMENTS: tuple[Experiment, ...] = ("numbers", "orbit")
 
 
 class HydranetConfig(Settings):
-    """Sizes of both experiments. The defaults are those of the thesis, but for the repetitions."""
+    """Sizes of both experiments. The defaults are the thesis's, but for the repetitions."""
 
     experiments: tuple[Experiment, ...] = Field(
         EXPERIMENTS, min_length=1, description="Those to repeat: 1-D regression, orbiting camera."

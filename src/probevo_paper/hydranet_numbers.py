@@ -2,7 +2,7 @@
 
 Networks learn y = x + sin 4(x + w) + sin 13(x + w) + w, with w ~ N(0, 0.03²), from x in [0, 0.6]
 and [0.8, 1], and are tested without noise on 100 points of [−2, 2]: most of them far from any data.
-Sizes, rates and optimisers are those of the authors' public code.
+Sizes, rates and optimisers are taken from the authors' public code.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ PUBLISHED_NLL = {
 }
 """Medians over 100 repetitions."""
 MOMENTUM = {"dropout": 0.5, "ensemble": 0.9, "hydra": 0.9, "hydra-sigma": 0.1}
-"""Of stochastic gradient descent at a rate of 0.01; sigma is trained by Adam at 1e-4."""
+"""Momentum of stochastic gradient descent at a rate of 0.01; sigma is trained by Adam at 1e-4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ def regress(
         return methods.estimates(method, space, networks, inputs, key)
 
     keys = jax.random.split(jax.random.key(settings.seed), settings.repetitions)
-    found, raw = eqx.filter_vmap(estimate)(trained.networks, keys)
-    predicted = methods.prediction(space, found, raw)
+    estimated, raw = eqx.filter_vmap(estimate)(trained.networks, keys)
+    predicted = methods.prediction(space, estimated, raw)
     errors = predicted.mean - curve(tests, np.zeros_like(tests))
     # The published figures have the constant ½ log 2π.
     nll = negative_log_likelihoods(errors, predicted.covariance) + 0.5 * np.log(2.0 * np.pi)

@@ -50,7 +50,7 @@ DROPOUT = 0.1
 """Rate of the dropout baseline; not published."""
 PATIENCE = 10
 PROBABILITY = 0.9
-"""Of the regions whose coverage is measured."""
+"""Probability of the regions whose coverage is measured."""
 
 
 class Views(NamedTuple):
@@ -127,8 +127,8 @@ def orbit(
         """Return errors, [N, 3], and their covariances, [N, 3, 3]."""
         inputs = jnp.asarray(views.inputs, jnp.float32)
         key = jax.random.key(settings.seed)
-        found, raw = methods.estimates(method, space, networks, inputs, key)
-        predicted = methods.prediction(space, found, raw)
+        estimated, raw = methods.estimates(method, space, networks, inputs, key)
+        predicted = methods.prediction(space, estimated, raw)
         C_estimated = Rotation.from_quat(predicted.mean, scalar_first=True)
         C_true = Rotation.from_quat(views.quaternions, scalar_first=True)
         return (C_estimated * C_true.inv()).as_rotvec(), predicted.covariance
@@ -212,8 +212,8 @@ def views_at(angles_rad: FloatArray, rng: np.random.Generator) -> Views:
     C_turned_world = about_z @ about_y @ about_x
     C_cam_turned = np.diag([1.0, -1.0, -1.0])
     C_cam_world = C_cam_turned @ C_turned_world
-    in_camera_m = points_m @ C_cam_world.mT + np.array([0.0, 0.0, DISTANCE_M])
-    exact_px = FOCAL_PX * in_camera_m[..., :2] / in_camera_m[..., 2:] + SIZE_PX / 2.0
+    points_camera_m = points_m @ C_cam_world.mT + np.array([0.0, 0.0, DISTANCE_M])
+    exact_px = FOCAL_PX * points_camera_m[..., :2] / points_camera_m[..., 2:] + SIZE_PX / 2.0
     pixels_px = exact_px + rng.normal(0.0, NOISE_PX, exact_px.shape)
     is_seen = np.all((pixels_px >= 0.0) & (pixels_px < SIZE_PX), axis=-1)
     inputs = np.where(is_seen[..., None], pixels_px / (SIZE_PX / 2.0), UNSEEN)

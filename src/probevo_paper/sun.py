@@ -75,7 +75,7 @@ class SunRow:
     claimed_deg: float
     """The standard deviation that the estimate claims, RMS over all frames."""
     rot_armse_deg: float
-    """Of the attitude: mean over frames of the RMS over its axes (PROBE, Table I)."""
+    """ARMSE of the attitude: mean over frames of the RMS over its axes (PROBE, Table I)."""
     trans_armse_m: float
     """The same of the position."""
     excluded_after: float | None = None
@@ -154,7 +154,7 @@ class SunPath:
     """The poses of a drive as they are fused with a sensor."""
 
     T_world_cam: FloatArray
-    """[K, 4, 4], m."""
+    """Poses of the camera, [K, 4, 4], m."""
     cov: FloatArray
     """Covariance of the left perturbation of T_cam_world, [K, 6, 6], m and rad."""
     excluded_at: int | None
@@ -187,23 +187,23 @@ def fused_path(drive: SunDrive, sensor: SunSensor | None) -> SunPath:
 def attitude_bound(drive: SunDrive, sigma_rad: float, every: int) -> FloatArray:
     """Return the Cramér–Rao bound of the poses with a sun sensor, [K, 6, 6], m and rad.
 
-    The information of the past is that of the steps, whose errors are independent, and of the
+    The information of the past comes from the steps, whose errors are independent, and from the
     sightings so far, both at the true poses.
     """
     cov = np.zeros((6, 6))
-    found = [cov]
+    bounds = [cov]
     for index, motion in enumerate(drive.motions[1:], start=1):
         T_cam_world = se3.inverse(drive.T_world_cam[index])
         adjoint = se3.adjoint(T_cam_world @ drive.T_world_cam[index - 1])
         cov = adjoint @ cov @ adjoint.T + motion.cov
         if index % every == 0:
-            in_camera = T_cam_world[:3, :3] @ drive.sun
+            sun_camera = T_cam_world[:3, :3] @ drive.sun
             H = np.zeros((2, 6))
-            H[:, 3:] = tangent_axes(in_camera).T @ so3.wedge(in_camera)
+            H[:, 3:] = tangent_axes(sun_camera).T @ so3.wedge(sun_camera)
             gain = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + sigma_rad**2 * np.eye(2))
             cov = cov - gain @ H @ cov
-        found.append(cov)
-    return np.array(found)
+        bounds.append(cov)
+    return np.array(bounds)
 
 
 def row_of(

@@ -25,7 +25,7 @@ def table_of(
     Args:
         comparison: the finished runs, named as the rows and as ``ESTIMATORS``.
         planned: names of the rows that were to be run.
-        without_truth: those of them that have no ground truth to train with.
+        without_truth: the drives that have no ground truth to train with.
 
     """
     rows: list[TrialRow] = []

@@ -38,7 +38,7 @@ def write_loops_page(
 
     Args:
         path: the HTML file. Links to the reports of single runs are relative to it.
-        comparison: the runs, with that of the static M-estimator on the training loop.
+        comparison: the runs, with the static M-estimator's on the training loop.
         table: the runs in the form of the thesis.
         iterations: results of EM before the first iteration and after each.
         training_loop: name of the loop that was trained on.

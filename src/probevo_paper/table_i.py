@@ -35,7 +35,7 @@ class KittiDrive:
 
     @property
     def folder(self) -> Path:
-        """Folder of the drive, relative to that of KITTI raw."""
+        """Folder of the drive, relative to the folder of KITTI raw."""
         return Path(self.date, f"{self.date}_drive_{self.number}_sync")
 
 

@@ -14,7 +14,7 @@ Profile = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """A function from the place in one image to the noise there, from 0, where σ is low, to 1, where it
 is high.
 
-Its arguments are u and v, from 0 to 1 across the image, and the disparity, from 0 to 1 for that of
+Its arguments are u and v, from 0 to 1 across the image, and the disparity, from 0 to 1 at
 the nearest landmarks; all are [N], as is the result."""
 
 
@@ -95,7 +95,7 @@ class NoiseLaw:
     def sigma(self, pixels: FloatArray) -> FloatArray:
         """Return the standard deviation of each coordinate of true observations.
 
-        Beyond the images and the nearest landmark it is that of the nearest place within.
+        Beyond the images and the nearest landmark it is taken from the nearest place within.
 
         Args:
             pixels: true observations (u_l, v_l, u_r, v_r), [N, 4], px.

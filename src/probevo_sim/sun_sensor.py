@@ -28,12 +28,12 @@ class SunSensor:
 
     Args:
         T_world_cam: true poses of the frames in the world, [K, 4, 4].
-        in_world: direction of the sun in the world, [3].
+        sun_world: direction of the sun in the world, [3].
         sigma_rad: standard deviation of each of the two angles.
         every: frames from one sighting to the next.
         seed: of the noise.
-        fault: None, or how it lies: its azimuth is 20° off, has the wrong sign, or is for ever that
-            of its first sighting.
+        fault: None, or how it lies: its azimuth is 20° off, has the wrong sign, or stays at
+            its first sighting.
     """
 
     name = "sun"
@@ -41,7 +41,7 @@ class SunSensor:
     def __init__(
         self,
         T_world_cam: FloatArray,
-        in_world: FloatArray,
+        sun_world: FloatArray,
         *,
         sigma_rad: float,
         every: int = 1,
@@ -49,7 +49,7 @@ class SunSensor:
         fault: Fault | None = None,
     ) -> None:
         self.T_world_cam = T_world_cam
-        self.in_world = in_world / np.linalg.norm(in_world)
+        self.sun_world = sun_world / np.linalg.norm(sun_world)
         self.sigma_rad = sigma_rad
         self.every = every
         self.seed = seed
@@ -64,7 +64,7 @@ class SunSensor:
             Direction(
                 pose_of(frame.index),
                 self.measured(frame.index),
-                self.in_world,
+                self.sun_world,
                 sigma_rad**2 * np.eye(2),
             )
         ]
@@ -72,7 +72,7 @@ class SunSensor:
     def measured(self, index: int) -> FloatArray:
         """Return the unit vector in the camera that it measures in a frame, [3]."""
         shown = self.every if self.fault == "stuck" else index
-        u = self.T_world_cam[shown, :3, :3].T @ self.in_world
+        u = self.T_world_cam[shown, :3, :3].T @ self.sun_world
         if self.fault == "offset":
             u = so3.exp(np.array([0.0, OFFSET_RAD, 0.0])) @ u
         if self.fault == "inverted":

@@ -29,7 +29,7 @@ def test_frames_with_offsets_of_their_own_are_a_joint_least_squares() -> None:
             (coefficients, information),
             noise=GAUSSIAN,
             iterations=2,
-            of_frame=OffsetsOfFrame(effect, cov),
+            frame_change=OffsetsOfFrame(effect, cov),
         )
         columns = np.zeros((20, size))
         columns[:, :3] = basis
@@ -50,6 +50,6 @@ def test_without_them_nothing_changes() -> None:
     prior = (np.zeros(3), np.eye(3))
     plain = fit_row_offsets(basis, offsets, prior, noise=GAUSSIAN, iterations=1)
     tiny = OffsetsOfFrame(np.ones((3, 1)), np.array([[1e-18]]))
-    held = fit_row_offsets(basis, offsets, prior, noise=GAUSSIAN, iterations=1, of_frame=tiny)
+    held = fit_row_offsets(basis, offsets, prior, noise=GAUSSIAN, iterations=1, frame_change=tiny)
     for found, expected in zip(held, plain, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -431,7 +431,8 @@ def test_predictors_in_training_of_another_shape_are_refused(
 def test_an_error_that_is_no_number_is_named(kind: str, value: float) -> None:
     errors = ERRORS.copy()
     errors[17, 2] = value
-    with pytest.raises(InputError, match=r"residuals: that of feature 17 \(from 0\)") as caught:
+    message = r"residuals: the residual of feature 17 \(from 0\)"
+    with pytest.raises(InputError, match=message) as caught:
         KINDS[kind].fit(np.nan_to_num(places()), errors=errors)
     assert caught.value.cure
 

@@ -361,14 +361,14 @@ def test_a_static_fit_has_no_bias() -> None:
         (np.zeros((0, 4)), "residuals: there is none"),
         (np.zeros((5, 3)), r"residuals: their shape is \(5, 3\)"),
         (np.zeros(4), "residuals: their shape is"),
-        (np.full((3, 4), np.nan), r"residuals: that of feature 0 \(from 0\) is \[nan"),
+        (np.full((3, 4), np.nan), r"residuals: the residual of feature 0 \(from 0\) is \[nan"),
         (
             np.array([[0.0] * 4, [0.0, np.inf, 0.0, 0.0]]),
-            r"residuals: that of feature 1 \(from 0\) is",
+            r"residuals: the residual of feature 1 \(from 0\) is",
         ),
         (
             np.array([[0.0] * 4, [0.0, 0.0, -1e150, 0.0]]),
-            r"residuals: that of feature 1 \(from 0\) is",
+            r"residuals: the residual of feature 1 \(from 0\) is",
         ),
     ],
 )

@@ -71,6 +71,6 @@ def root_mean_square_px(coefficients: FloatArray) -> tuple[float, float]:
     # The mean square of P_i(x) P_j(y) over the image is 1/((2i + 1)(2j + 1)).
     mean_square = 1.0 / ((2.0 * _I + 1.0) * (2.0 * _J + 1.0))
     common = np.concatenate([mean_square[COMMON_MODES]] * 2)
-    of_common = common @ coefficients[: len(common)] ** 2
-    of_disparity = mean_square[DISPARITY_MODES] @ coefficients[len(common) :] ** 2
-    return math.sqrt(of_common), math.sqrt(of_disparity)
+    common_px2 = common @ coefficients[: len(common)] ** 2
+    disparity_px2 = mean_square[DISPARITY_MODES] @ coefficients[len(common) :] ** 2
+    return math.sqrt(common_px2), math.sqrt(disparity_px2)

@@ -14,7 +14,7 @@ v_r − v_l, by recursive robust least squares,
 
     v_r − v_l = a·(1, x, y, x², x y, y², y r²) + τ v̇_r,
 
-where x is that of the right image with a₁ and a₆, which describe it, and that of the left image
+where x is taken in the right image for a₁ and a₆, which describe it, and in the left image
 elsewhere (``row_basis``); the motion during τ is removed from u_r and v_r.
 """
 
@@ -118,17 +118,17 @@ class ExposureDelay:
             noise: of v_r − v_l.
             jitter_cov: covariance of the rig's jitter, [3, 3], rad².
         """
-        # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ), but for what v̇_r depends on
-        # τ, which is that of the estimate so far: one more column, px/s.
-        at_once = without_delay(pixels, self.estimate_s, twist, camera)
-        row_speed_px_s = right_velocity(at_once, twist, camera, self.estimate_s)[:, 1]
+        # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ) once v̇_r, which depends on τ
+        # too, is taken at the present estimate of τ: one more column, px/s.
+        without_delay_px = without_delay(pixels, self.estimate_s, twist, camera)
+        row_speed_px_s = right_velocity(without_delay_px, twist, camera, self.estimate_s)[:, 1]
         coefficients, information = fit_row_offsets(
             np.column_stack([basis, row_speed_px_s]),
             pixels[:, 3] - pixels[:, 1],
             (self.coefficients, self.information),
             noise=noise,
             iterations=ITERATIONS,
-            of_frame=OffsetsOfFrame(_jitter_effect(camera), jitter_cov),
+            frame_change=OffsetsOfFrame(_jitter_effect(camera), jitter_cov),
         )
         return ExposureDelay(
             row_sigma_px=self.row_sigma_px,

@@ -31,8 +31,9 @@ PRIOR_SIGMA = np.array([1.0, 1.0, 0.1])
 DIM = 3
 FOCAL = 2
 """Index of ε."""
-CORRELATED = 20.0
-"""Number of features that count as one, as in the rig's calibration."""
+CORRELATED_RESIDUALS = 20.0
+"""Number of features whose residuals count as one, as many as ``CORRELATED_FEATURES`` in
+``camera.rig_calibration``."""
 NOTICEABLE = 0.01
 """Smallest |ε| that is reported: path length and rotations are off by about this ratio."""
 MAX_BY_LENSES = 0.04
@@ -111,8 +112,8 @@ class FocalLengthEstimate:
         """Return ε and its standard deviation."""
         # Posterior mean and model covariance of θ, with the information of correlated features.
         prior = np.diag(PRIOR_SIGMA**-2.0)
-        information = self.information / CORRELATED
-        moment = self.moment / CORRELATED
+        information = self.information / CORRELATED_RESIDUALS
+        moment = self.moment / CORRELATED_RESIDUALS
         cov = np.linalg.inv(information.sum(axis=0) + prior)
         theta = cov @ moment.sum(axis=0)
         # Sandwich: the influence of each block on ε is its gradient at the estimate, times the row
@@ -120,8 +121,8 @@ class FocalLengthEstimate:
         # the blocks; the prior, which is no sample, adds its own share.
         influence = (moment - information @ theta) @ cov[FOCAL]
         shares = np.einsum("i,bij,j->b", cov[FOCAL], information, cov[FOCAL])
-        of_prior = float(cov[FOCAL] @ prior @ cov[FOCAL])
-        scatter = of_prior + float(np.sum(influence**2)) * _small_sample_factor(shares)
+        prior_share = float(cov[FOCAL] @ prior @ cov[FOCAL])
+        scatter = prior_share + float(np.sum(influence**2)) * _small_sample_factor(shares)
         variance = max(float(cov[FOCAL, FOCAL]), scatter)
         return FocalLengthError(float(theta[FOCAL]), float(np.sqrt(variance)))
 
@@ -143,13 +144,13 @@ class FocalLengthError:
     """The error of the calibrated focal length, as estimated from images."""
 
     log_ratio: float
-    """ε: the true focal length is e^ε times that of the calibration."""
+    """ε: the true focal length is e^ε times the calibrated one."""
     sigma: float
     """Its standard deviation."""
 
     @property
     def percent(self) -> float:
-        """How much longer the true focal length is than that of the calibration, %."""
+        """How much longer the true focal length is than the calibrated one, %."""
         return 100.0 * float(np.expm1(self.log_ratio))
 
     @property

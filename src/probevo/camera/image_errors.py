@@ -41,7 +41,7 @@ MAX_SIGMA_PX = 0.5
 """Largest τ. Lenses that are further off have to be calibrated. Where features move by themselves,
 as on a lorry that fills the road, a field of many pixels could explain that."""
 FOCAL_SIGMA = 0.005
-"""Prior standard deviation of the error of log f, that of a usual calibration."""
+"""Prior standard deviation of the error of log f, as calibrations usually have it."""
 NUM_ERRORS = len(DISPARITY_SIGMA_PX) + NUM_COEFFICIENTS
 _DISTORTION = slice(len(DISPARITY_SIGMA_PX), NUM_ERRORS)
 
@@ -59,9 +59,9 @@ class ScalarEquations(NamedTuple):
     coupling: FloatArray
     """Off-diagonal information between c and z, [NUM_ERRORS]."""
     information: float
-    """About z, for a given c."""
+    """Information about z, for a given c."""
     gradient: float
-    """By z; of a sum over steps, the moment of z at c = 0 and z = 0."""
+    """Gradient by z; in a sum over steps, the moment of z at c = 0 and z = 0."""
 
     @staticmethod
     def none() -> ScalarEquations:
@@ -77,7 +77,7 @@ class ScalarEquations(NamedTuple):
         )
 
     def with_step(self, step: ScalarEquations, mean: FloatArray, value: float) -> ScalarEquations:
-        """Return the sum with that of a step.
+        """Return the sum of these equations and those of a step.
 
         Args:
             step: its gradient is at the following values.
@@ -96,15 +96,16 @@ class ImageEquations(NamedTuple):
     """Normal equations of a step about the errors c, with motion and jitter eliminated."""
 
     information: FloatArray
-    """About c, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
+    """Information about c, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
     gradient: FloatArray
-    """By c at the estimate, by which the tracks were corrected, [NUM_ERRORS], px⁻¹."""
+    """Gradient by c at the estimate by which the tracks were corrected, [NUM_ERRORS], px⁻¹."""
     with_radial: FloatArray
     """Off-diagonal information between c and a₆, [NUM_ERRORS], px⁻²."""
     focal: ScalarEquations
-    """Of the error ε of log f; the gradient is at ε = 0 and the estimate of c."""
+    """Equations of the error ε of log f; the gradient is at ε = 0 and the estimate of c."""
     readout: ScalarEquations
-    """Of the readout time, s; the gradient is at that by which the tracks were corrected."""
+    """Equations of the readout time, s; the gradient is at the time by which the tracks were
+    corrected."""
 
     def scaled(self, factor: float) -> ImageEquations:
         """Return the equations of so many times the information."""
@@ -178,8 +179,8 @@ class ImageErrors:
 
     @property
     def focal_rms(self) -> float:
-        """Root of the second moment of ε about 0, for which c is estimated: that of the prior, or
-        less, where the images agree with the focal length.
+        """Root of the second moment of ε about 0, for which c is estimated: the prior's,
+        or less where the images agree with the focal length.
 
         Where they contradict it, that may be the lenses, whose distortion looks alike; so they show
         nothing then.
@@ -211,9 +212,9 @@ class ImageErrors:
         """The readout time by what is seen of it, whether or not it is corrected."""
         # The joint posterior of c and the readout time, of which c is eliminated.
         seen = self.readout_seen
-        of_prior = self.readout_prior.sigma_s**-2.0
-        information = of_prior + seen.information + seen.coupling @ self.shift_by_readout
-        moment = of_prior * self.readout_prior.mean_s + seen.gradient
+        prior_information = self.readout_prior.sigma_s**-2.0
+        information = prior_information + seen.information + seen.coupling @ self.shift_by_readout
+        moment = prior_information * self.readout_prior.mean_s + seen.gradient
         moment += float(self.shift_by_readout @ self.moment)
         return ReadoutTime(
             mean_s=float(moment / information), sigma_s=float(1.0 / math.sqrt(information))

@@ -9,7 +9,7 @@ the place (x, y) = ((u − c_u)/f_u, (v − c_v)/f_v) in the left image:
   and modelling it reduces the scatter of v_r − v_l from 0.39 to 0.15 px.
   A roll of the right image causes a₁, and a difference of the lenses' radial distortion a₆. Both
   also move u_r, by −a₁ y and a₆ x r². Disparities alone do not reveal that, so u_r is corrected by
-  what the rows show. For a₁ and a₆, x is that of the right image, and r² = x² + y².
+  what the rows show. For a₁ and a₆, x is taken in the right image, and r² = x² + y².
 - disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion
   (``estimation.rig_update``). On KITTI b₂ is 1.7 to 2.1 px: points at the sides seem too far, which
   on a motorway, where the useful points are at the sides, makes every step too long.
@@ -57,7 +57,7 @@ CONSTANT_SIGMA_PX = 0.1
 """Prior standard deviation of the constant b₀, a consider parameter: two frames do not estimate
 it."""
 ROW_SCATTER_PX = 0.2
-"""Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of
+"""Scale of v_r − v_l around its model; it has the tails of a Student-t with 5 degrees of
 freedom."""
 ROW_DOF = 5.0
 """Degrees of freedom of the Student-t of a row offset."""
@@ -104,7 +104,7 @@ class RigCalibration:
         """Return the prior: no correction, with the standard deviations above.
 
         Args:
-            jitter: the prior of the jitter; by default that of an unknown rig.
+            jitter: the prior of the jitter; by default the one for unknown rigs.
             readout_s: the readout time of the shutter where it is known, else 0.
         """
         return RigCalibration(
@@ -181,9 +181,9 @@ class RigCalibration:
         Args:
             pixels: the matches, [N, 4], px.
             camera: the rectified camera.
-            novelty: how much their errors tell that those of earlier frames did not, 0 to 1: a rig
-                that stands repeats the same errors, and one flexure. The first frame counts in
-                full.
+            novelty: the share of information in their errors that earlier frames did not have, 0
+                to 1: a rig that stands repeats the same errors, and one flexure. The first frame
+                counts in full.
         """
         if not self.has_seen_rows:
             novelty = 1.0
@@ -237,8 +237,8 @@ class RigCalibration:
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return (1, x, y, x², xy, y², y r²) at N features, [N, 7].
 
-    The second and the last, which describe the right image, have its x; the others that of the
-    left image.
+    The second and the last, which describe the right image, use the x of the right image; the
+    others use the x of the left image.
     """
     basis = np.empty((len(pixels), len(ROW_SIGMA_PX)))
     fill_row_basis(np.array(pixels, np.float64, order="C"), Intrinsics.of(camera), basis)

@@ -59,7 +59,7 @@ class RigJitter:
         """Return the prior.
 
         Args:
-            cov: S of a rig that is known, [3, 3], rad²; by default that of an unknown one.
+            cov: S of a rig that is known, [3, 3], rad²; by default the prior for unknown rigs.
             frames: number of frames that it counts for.
         """
         if cov is None:
@@ -73,7 +73,7 @@ class RigJitter:
         return sigma
 
     def exceeds(self, cov: FloatArray | None) -> bool:
-        """Return whether a variance is more than ``LARGER`` times that of another covariance."""
+        """Return whether a variance is over ``LARGER`` times the variance in another covariance."""
         return cov is not None and bool((np.diagonal(self.cov) > LARGER * np.diagonal(cov)).any())
 
     def with_change(self, second_moment: FloatArray, *, novelty: float = 1.0) -> RigJitter:

@@ -26,7 +26,7 @@ def fit_row_offsets(
     *,
     noise: RowOffsetNoise,
     iterations: int,
-    of_frame: OffsetsOfFrame | None = None,
+    frame_change: OffsetsOfFrame | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Update a Gaussian estimate of K coefficients by the row offsets of one frame, by IRLS.
 
@@ -40,7 +40,7 @@ def fit_row_offsets(
         prior: the coefficients before the frame, [K], and their information, [K, K].
         noise: of the offsets.
         iterations: number of iterations.
-        of_frame: a random change that is new in each frame; none by default.
+        frame_change: a random change that is new in each frame; none by default.
 
     Returns:
         The coefficients after it, [K], and their information, [K, K].
@@ -50,7 +50,7 @@ def fit_row_offsets(
     prior_gradient = prior_information @ coefficients
     information = prior_information
     frame_coefficients = coefficients
-    inverse_change_cov = None if of_frame is None else np.linalg.inv(of_frame.cov)
+    inverse_change_cov = None if frame_change is None else np.linalg.inv(frame_change.cov)
     for _ in range(iterations):
         # Normal equations of this frame, weighted at the coefficients as they were in it.
         own_information = np.zeros_like(prior_information)
@@ -63,7 +63,7 @@ def fit_row_offsets(
             information=own_information,
             gradient=own_gradient,
         )
-        if of_frame is None or inverse_change_cov is None:
+        if frame_change is None or inverse_change_cov is None:
             information = prior_information + own_information
             coefficients = np.linalg.solve(information, prior_gradient + own_gradient).astype(float)
             frame_coefficients = coefficients
@@ -74,7 +74,7 @@ def fit_row_offsets(
         #     [Gᵀ N        Gᵀ N G + S⁻¹ ] [ω] = [Gᵀ n              ]
         #
         # ω = ω₀ − gain · a is eliminated by the Schur complement of its block.
-        G = of_frame.effect
+        G = frame_change.effect
         N_G = own_information @ G
         change_block = G.T @ N_G + inverse_change_cov
         change_gradient = G.T @ own_gradient
@@ -83,8 +83,8 @@ def fit_row_offsets(
         information = prior_information + own_information - N_G @ gain
         gradient = prior_gradient + own_gradient - gain.T @ change_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
-        # Back-substitution: the likeliest ω. The weights of the next iteration are those of
-        # residuals from a + G ω, the coefficients of this frame.
+        # Back-substitution: the likeliest ω. The next iteration weighs by the residuals from
+        # a + G ω, the coefficients of this frame.
         omega = omega_0 - gain @ coefficients
         frame_coefficients = coefficients + G @ omega
     return coefficients, information

@@ -36,7 +36,7 @@ from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
 
 READOUT_SIGMA_S = 0.02
-"""Prior standard deviation of the readout time; that of usual rolling shutters is 10 to 30 ms."""
+"""Prior standard deviation of the readout time. Usual rolling shutters take 10 to 30 ms."""
 KNOWN_SIGMA_S = 0.0005
 """Prior standard deviation where the calibration gives the readout time."""
 NOTICEABLE_S = 0.003
@@ -58,7 +58,8 @@ class Twists(NamedTuple):
     duration_s: float = math.inf
     """Time between the two frames; infinite if neither velocity changes while a frame is read."""
     are_estimated: bool = False
-    """Whether their change in this step has been estimated; otherwise it is that of two steps."""
+    """Whether their change in this step has been estimated; otherwise it is taken from two
+    steps."""
 
     @property
     def acceleration(self) -> FloatArray:
@@ -96,12 +97,12 @@ def without_readout(
     camera: StereoCamera,
     acceleration: FloatArray | None = None,
 ) -> FloatArray:
-    """Return observations [N, 4], px, moved from the time of their rows to that of the frame.
+    """Return observations [N, 4], px, moved from the time of their rows to the time of the frame.
 
     Args:
         pixels: the observations; left and right have the same time.
         readout_s: τ.
-        twist: ξ, that of the frame, [6], m/s and rad/s.
+        twist: ξ at the time of the frame, [6], m/s and rad/s.
         camera: the rectified camera.
         acceleration: a, [6], m/s² and rad/s²; zero if not given.
     """
@@ -143,7 +144,7 @@ def readout_sensitivity(
         Intrinsics.of(camera),
         camera.extent_px[1],
         refined=refined,
-        by_row=_ByRow(
+        row_twists=_RowTwists(
             prev=(adjoint @ twists.prev)[:, None],
             prev_rate=readout_s * (adjoint @ twists.acceleration)[:, None],
             curr=-twists.curr[:, None],
@@ -178,7 +179,7 @@ def change_sensitivity(
         Intrinsics.of(camera),
         camera.extent_px[1],
         refined=refined,
-        by_row=_ByRow(
+        row_twists=_RowTwists(
             prev=-half * adjoint,
             prev_rate=half * readout_s / duration_s * adjoint,
             curr=-half * np.eye(6),
@@ -189,18 +190,18 @@ def change_sensitivity(
     return sensitivity
 
 
-class _ByRow(NamedTuple):
+class _RowTwists(NamedTuple):
     """K twists, in the axes of the current frame, by the rows of a point in either frame: s (prev +
     s prev_rate) + s' (curr + s' curr_rate), [6, K] each."""
 
     prev: FloatArray
-    """By the row in the previous frame."""
+    """Twists per row s of the previous frame."""
     prev_rate: FloatArray
-    """By its square."""
+    """Twists per s²."""
     curr: FloatArray
-    """By the row in the current frame."""
+    """Twists per row s' of the current frame."""
     curr_rate: FloatArray
-    """By its square."""
+    """Twists per s'²."""
 
 
 @compiled
@@ -243,7 +244,7 @@ def _fill_sensitivity(
     height: float,
     *,
     refined: FloatArray,
-    by_row: _ByRow,
+    row_twists: _RowTwists,
     sensitivity: FloatArray,
 ) -> None:
     """Fill in the image velocity ẏ by each of K twists, [N, 4, K]."""
@@ -261,8 +262,8 @@ def _fill_sensitivity(
         # ẏ is linear in the twist.
         for k in range(sensitivity.shape[2]):
             for i in range(len(twist)):
-                prev = by_row.prev[i, k] + share * by_row.prev_rate[i, k]
-                curr = by_row.curr[i, k] + share_curr * by_row.curr_rate[i, k]
+                prev = row_twists.prev[i, k] + share * row_twists.prev_rate[i, k]
+                curr = row_twists.curr[i, k] + share_curr * row_twists.curr_rate[i, k]
                 twist[i] = share * prev + share_curr * curr
             rate_x, rate_y, rate_z = velocity_over_depth(x, y, inverse_depth, twist)
             u_move = camera.fu * (rate_x - x * rate_z)

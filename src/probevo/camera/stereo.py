@@ -143,7 +143,7 @@ class StereoCamera:
     def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Move the points at N observations [N, 4], px, each divided by its depth in a.
 
-        The ray is that of the left image, and no disparity is negative: a point that noise puts
+        The ray is taken from the left image, and no disparity is negative: a point that noise puts
         beyond infinity is at infinity. ``camera.transfer``, which predicts observations, takes the
         mean of both rows instead, and negative disparities as they are.
 

@@ -36,11 +36,11 @@ def fit_autoregression(values: FloatArray) -> FloatArray:
     highest = min(int(_ORDERS_PER_DECADE * np.log10(count)), count // _MIN_VALUES_PER_ORDER)
     # No order is the true one, but there is a mean or none: hence the two criteria.
     least = np.inf
-    for mean, of_mean in ((0.0, 0.0), (values.mean(), np.log(count))):
+    for mean, mean_penalty in ((0.0, 0.0), (values.mean(), np.log(count))):
         for order, (coefficients, variance) in enumerate(_burg(values - mean, highest)):
             parameters = order + 1  # and the variance
-            of_order = 2.0 * parameters * count / (count - parameters - 1)
-            criterion = count * np.log(variance) + of_order + of_mean
+            order_penalty = 2.0 * parameters * count / (count - parameters - 1)
+            criterion = count * np.log(variance) + order_penalty + mean_penalty
             if criterion < least:
                 least = criterion
                 best = coefficients

@@ -79,11 +79,11 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
     """Describe v_r − v_l at the edges of the image, and the delay of the right image."""
     # What each coefficient would be as an angle or as a ratio of focal lengths, in the text of its
     # cure: a₀ = f_v · pitch, a₁ = f_v · roll, and a₂ y = (f_r/f_l − 1) f_v y.
-    found = check_rows(frames, camera)
+    regression = check_rows(frames, camera)
     x_edge, y_edge = _edges(camera, frames)
-    pitch = float(np.rad2deg(found.values[0] / camera.fv_px))
-    roll = float(np.rad2deg(found.values[1] / camera.fv_px))
-    focal = 100.0 * float(found.values[2] / camera.fv_px)
+    pitch = float(np.rad2deg(regression.values[0] / camera.fv_px))
+    roll = float(np.rad2deg(regression.values[1] / camera.fv_px))
+    focal = 100.0 * float(regression.values[2] / camera.fv_px)
     meanings = (
         ("rows, all", 1.0, f"as if the right camera were pitched by {pitch:+.3f}°"),
         ("rows, at the side", x_edge, f"as if the right camera were rolled by {roll:+.3f}°"),
@@ -108,19 +108,19 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
     # Each as the error in px that it makes at the edge of the image.
     quantities = []
     for k, (name, factor, meaning) in enumerate(meanings):
-        value = float(found.values[k]) * factor
-        sigma = float(found.sigma[k]) * factor
-        p_value = found.p_value(value, sigma)
+        value = float(regression.values[k]) * factor
+        sigma = float(regression.sigma[k]) * factor
+        p_value = regression.p_value(value, sigma)
         quantities.append(Quantity(name, value, sigma, "px", p_value=p_value, cure=f"{meaning}."))
     # The delay of the right image.
-    delay_ms = 1e3 * float(found.values[DELAY])
+    delay_ms = 1e3 * float(regression.values[DELAY])
     late = "later" if delay_ms > 0.0 else "earlier"
     cure = (
         f"right images are exposed {abs(delay_ms):.2f} ms {late} than left ones. Trigger both"
         " cameras together; with exposures of different length, align their middles."
     )
-    sigma_ms = 1e3 * float(found.sigma[DELAY])
-    p_value = found.p_value(delay_ms, sigma_ms)
+    sigma_ms = 1e3 * float(regression.sigma[DELAY])
+    p_value = regression.p_value(delay_ms, sigma_ms)
     return [
         *quantities,
         Quantity("right image is late", delay_ms, sigma_ms, "ms", p_value=p_value, cure=cure),
@@ -185,8 +185,8 @@ def _focal_quantity(error: FocalLengthError) -> Quantity:
 
 
 def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Quantity | None:
-    """Compare distances with those of the truth, over segments of √N frames or, where fewer true
-    poses are known, as many more as it takes.
+    """Compare distances with true distances, over segments of √N frames or, where fewer true poses
+    are known, as many more as it takes.
 
     Args:
         T_world_cam: poses, [N, 4, 4], m.
@@ -271,11 +271,11 @@ def gyro_quantities(
         The quantities, none if the samples cover too few steps, and the rotation of the IMU to the
         camera that agrees with the images, [3, 3].
     """
-    found = check_gyro(between_ns, rotation_rad, stream, calibration)
-    if found is None:
+    check = check_gyro(between_ns, rotation_rad, stream, calibration)
+    if check is None:
         return [], calibration.C_cam_imu
     # Mounting: three angles.
-    regression = found.regression
+    regression = check.regression
     quantities = []
     for k, axis in enumerate("xyz"):
         value = float(np.rad2deg(regression.values[MOUNTING][k]))
@@ -288,7 +288,7 @@ def gyro_quantities(
         p_value = regression.p_value(value, sigma)
         name = f"gyro, mounting about {axis}"
         quantities.append(Quantity(name, value, sigma, "°", p_value=p_value, cure=cure))
-    # Unit: the images' rates are 1 + scale times those of the gyro, which are a factor too large.
+    # Unit: the images' rates are 1 + scale times the gyro's, which are a factor too large.
     scale = float(regression.values[SCALE])
     factor = 1.0 / (1.0 + scale) if abs(1.0 + scale) > 1e-9 else np.inf
     cure = f"its rates are {factor:.4g} times those of the images."
@@ -298,7 +298,7 @@ def gyro_quantities(
         cure += " Its axes are left-handed, or all signs are inverse: negate the rates."
     else:
         cure += " Is the gyro in rad/s, and the focal length in pixels of these images?"
-    sigma = float(np.hypot(regression.sigma[SCALE], found.attenuation * (1.0 + scale)))
+    sigma = float(np.hypot(regression.sigma[SCALE], check.attenuation * (1.0 + scale)))
     p_value = regression.p_value(scale, sigma)
     unit = Quantity(
         "gyro, scale",
@@ -318,7 +318,7 @@ def gyro_quantities(
     )
     p_value = regression.p_value(late_ms, sigma_ms)
     clock = Quantity("IMU's clock is late", late_ms, sigma_ms, "ms", p_value=p_value, cure=cure)
-    return [*quantities, unit, clock], found.C_cam_imu
+    return [*quantities, unit, clock], check.C_cam_imu
 
 
 def gravity_quantity(
@@ -351,16 +351,16 @@ def gravity_quantity(
         for part in np.array_split(np.arange(len(stamps_ns)), NUM_PARTS)
         if len(part) > 2 and is_ok[part[0] : part[-1]].all()
     ]
-    found = [np.linalg.norm(force) for force in parts if force is not None]
-    if len(found) < MIN_PARTS:
+    lengths = [np.linalg.norm(force) for force in parts if force is not None]
+    if len(lengths) < MIN_PARTS:
         return None
-    length = float(np.mean(found))
+    length = float(np.mean(lengths))
     # Three independent errors: the bias, gravity at this place, and the scatter of the mean.
-    scatter = float(np.std(found, ddof=1)) / np.sqrt(len(found))
+    scatter = float(np.std(lengths, ddof=1)) / np.sqrt(len(lengths))
     sigma = float(np.hypot(np.hypot(bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter))
     # Only the scatter is estimated; the others are known. The sum has the degrees of freedom of
     # Welch and Satterthwaite, those of the scatter times (σ/scatter)⁴.
-    dof = (len(found) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MAX_DOF)
+    dof = (len(lengths) - 1) * min((sigma / max(scatter, 1e-9)) ** 4, MAX_DOF)
     cure = (
         "the mean specific force, less the mean acceleration by the images, is"
         f" {length:.3g} m/s² long. "
@@ -389,8 +389,8 @@ def _mean_force_m_s2(
     """
     time_s = 1e-9 * (stamps_ns - stamps_ns[0])
     sample_s = 1e-9 * (stream.stamps_ns - stamps_ns[0])
-    # From the middle of the first step to that of the last, where mean velocities are the momentary
-    # ones
+    # From the middle of the first step to the middle of the last, where mean velocities equal the
+    # momentary ones.
     middle_s = 0.5 * (time_s[1:] + time_s[:-1])
     is_inside = (sample_s >= middle_s[0]) & (sample_s <= middle_s[-1])
     is_inside &= np.isfinite(stream.accel_m_s2).all(axis=1)

@@ -1,11 +1,11 @@
 """Robust linear regression whose errors are correlated within frames, and from frame to frame.
 
-Estimates are those of a Student-t likelihood. Their variances are those of the sandwich A⁻¹ B A⁻¹
-(Huber 1967), with B from the sums of the scores of each frame (Liang and Zeger 1986), so that they
-hold whatever the errors of a frame have in common. Frames share errors, too, as those of a rig that
-flexes: B is the spectrum of these sums at the lowest frequencies, of which a recording has few, so
-that σ itself is uncertain. A test with Student's t allows for this (Lazarus, Lewis, Stock and
-Watson 2018).
+The estimates maximise a Student-t likelihood. Their variances come from the sandwich A⁻¹ B A⁻¹
+(Huber 1967). B is computed from the sums of the scores of each frame (Liang and Zeger 1986); hence
+the variances hold whatever the errors of a frame have in common. Frames share errors, too, for
+example where a rig flexes: B is the spectrum of these sums at the lowest frequencies. A recording
+has few of those, and so σ itself is uncertain. A test with Student's t allows for this (Lazarus,
+Lewis, Stock and Watson 2018).
 
 A feature may keep its error for as long as it is seen: where the sums of the scores of each feature
 over all frames scatter more, these give the variances.
@@ -22,16 +22,16 @@ from scipy.special import stdtr
 from probevo.arrays import FloatArray, IntArray
 
 DOF = 5.0
-"""Degrees of freedom of the likelihood: between those of a Gaussian and of outliers."""
+"""Degrees of freedom of the likelihood: between Gaussian errors and outliers."""
 ITERATIONS = 30
 """Iterations of IRLS, far more than it needs to converge."""
 COSINES = 0.4
 """Number of cosines that show the variance of a sum over K frames, as a multiple of K^⅔. With more
-of them, slow errors seem smaller than they are; with fewer, less is significant. This balance is
-that of Lazarus, Lewis, Stock and Watson (2018), for frames with a correlation of about 0.7."""
+of them, slow errors seem smaller than they are; with fewer, less is significant. The balance
+follows Lazarus, Lewis, Stock and Watson (2018), for frames with a correlation of about 0.7."""
 MIN_COSINES = 4
-"""Minimum number of them, for recordings of a second or two. With only two, Student's t exceeds ±28
-once in 800 times, and hardly any error would be significant."""
+"""Minimum number of cosines, for recordings of a second or two. With only two, Student's t exceeds
+±28 once in 800 times, and hardly any error would be significant."""
 _MEDIAN_OF_ABSOLUTE = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
@@ -41,7 +41,7 @@ class Regression:
     """Estimates of P coefficients."""
 
     values: FloatArray
-    """[P]."""
+    """The coefficients, [P]."""
     sigma: FloatArray
     """Their standard deviations, [P]."""
     dof: int
@@ -102,16 +102,19 @@ def regress(
     # A⁻¹ times the score of each row, [N, P]: how far it moves the estimates. Errors that cancel in
     # one coefficient and not in another have a variance of their own in each.
     moves = design @ bread * (weight * residual / scale**2)[:, None]
-    of_frames = _sums(moves, frame)
-    count, num_coefficients = of_frames.shape
+    frame_sums = _sums(moves, frame)
+    count, num_coefficients = frame_sums.shape
     dof = _num_cosines(count, num_coefficients)
-    variance = _long_run_variance(of_frames, dof) * _unbiased(count, num_coefficients)
+    variance = _long_run_variance(frame_sums, dof) * _unbiased(count, num_coefficients)
     if track is not None:
         order = np.argsort(track, kind="stable")
-        of_tracks = _sums(moves[order], track[order])
-        by_track = np.sum(of_tracks**2, axis=0) * _unbiased(len(of_tracks), num_coefficients)
-        # Of two uncertain variances, either may be too small: the test stays that of the frames.
-        variance = np.maximum(variance, by_track)
+        track_sums = _sums(moves[order], track[order])
+        track_variance = np.sum(track_sums**2, axis=0) * _unbiased(
+            len(track_sums), num_coefficients
+        )
+        # Either of the two uncertain variances may be too small. The degrees of freedom of the test
+        # stay the frames'.
+        variance = np.maximum(variance, track_variance)
     variance += np.diag(bread @ prior @ bread)
     # −ln of N Student-t densities of this scale, and of the Gaussian prior
     cost = (
@@ -132,7 +135,7 @@ def _sums(rows: FloatArray, group: IntArray) -> FloatArray:
 def _unbiased(count: int, num_coefficients: int) -> float:
     """Return by how much more that many sums scatter around the truth than around the fit.
 
-    As many as were estimated are missing from the latter.
+    The fit takes away as many degrees of freedom as it has coefficients.
     """
     return count / max(count - num_coefficients, 1)
 
@@ -140,26 +143,27 @@ def _unbiased(count: int, num_coefficients: int) -> float:
 def _num_cosines(count: int, num_coefficients: int) -> int:
     """Return how many cosines show the variance of a sum over that many frames.
 
-    They are no more than what is left of the scatter of the frames by the fit.
+    There are no more of them than degrees of freedom that the fit has left.
     """
     wanted = round(float(COSINES * count ** (2.0 / 3.0)))
     return max(min(max(wanted, MIN_COSINES), count - num_coefficients), 1)
 
 
-def _long_run_variance(of_frames: FloatArray, num_cosines: int) -> FloatArray:
+def _long_run_variance(frame_sums: FloatArray, num_cosines: int) -> FloatArray:
     """Estimate the variance of the sum of K values that are correlated with their neighbours.
 
     Their cosine transforms √(2/K) Σ u_k cos(π j (k − ½)/K), j = 1 … M, are independent, and K times
-    the variance of each is that of the sum, if the correlation lasts for much less than 2K/M
-    frames. The mean of their squares has M degrees of freedom (Lazarus, Lewis, Stock and Watson,
-    "HAR inference: recommendations for practice", J. Business & Economic Statistics 36, 2018).
+    the variance of each is the variance of the sum, if the correlation lasts for much less than
+    2K/M frames. The mean of their squares has M degrees of freedom (Lazarus, Lewis, Stock and
+    Watson, "HAR inference: recommendations for practice", J. Business & Economic Statistics 36,
+    2018).
 
     Args:
-        of_frames: values of P sums, whose mean is zero, [K, P].
+        frame_sums: values of P sums, whose mean is zero, [K, P].
         num_cosines: M.
 
     Returns:
         The variances, [P].
     """
-    transformed = dct(of_frames, type=2, norm="ortho", axis=0)[1 : num_cosines + 1]
-    return np.asarray(len(of_frames) * np.mean(transformed**2, axis=0))
+    transformed = dct(frame_sums, type=2, norm="ortho", axis=0)[1 : num_cosines + 1]
+    return np.asarray(len(frame_sums) * np.mean(transformed**2, axis=0))

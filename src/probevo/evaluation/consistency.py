@@ -64,7 +64,7 @@ class Consistency:
         """Compute the interval of that share for consistent covariances, [P] each.
 
         For independent errors, K times the share is binomial, Bin(K, p). Both ends are quantiles
-        of it, so that each tail holds at most half of 1 − ``confidence``.
+        of it; each tail holds at most half of 1 − ``confidence``.
         """
         tail = 0.5 * (1.0 - confidence)
         count = len(self.nees)
@@ -77,7 +77,7 @@ def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, flo
     """Compute the share of N features inside their 50, 90, 95, 99 % ellipsoids, by percentage.
 
     The squared Mahalanobis distance s = (e − b)ᵀ R⁻¹ (e − b) of a Student-t residual has
-    s/4 ~ F(4, ν), that of a Gaussian one s ~ χ²(4). Each feature is compared with the distribution
+    s/4 ~ F(4, ν); a Gaussian residual has s ~ χ²(4). Each feature is compared with the distribution
     of its own ν: consistent noise has nominal coverage, less is overconfident, more conservative.
 
     Args:
@@ -99,7 +99,7 @@ def motion_consistency(
     """Compute the consistency of relative motions; None if the truth of none is known.
 
     The error is ξ = Log(T_true T_est⁻¹), the left perturbation that the covariance describes.
-    Where the truth is noisier from frame to frame than the estimate, as that of KITTI is (GPS and
+    Where the truth is noisier from frame to frame than the estimate, as KITTI's is (GPS and
     INS: centimetres and 0.04° a frame), the NEES measures the noise of the truth, and is far above
     6 for a consistent covariance.
 
@@ -132,7 +132,7 @@ def drift_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> F
 def drift_covariances(
     T_curr_prev: FloatArray, cov: FloatArray, common_mode: FloatArray, path_cross_cov: FloatArray
 ) -> FloatArray:
-    """Compound the covariances of N − 1 motions to those of the N poses along their path.
+    """Compound the covariances of N − 1 motions to covariances of the N poses along their path.
 
     To first order the error of pose k is ξ_k = Ad_k ξ_{k−1} + ε_k, with Ad_k the adjoint of motion
     k and ε_k its error. That error has three parts. A common-mode part A_k c, with c ~ N(0, I) the

@@ -24,7 +24,7 @@ FARTHEST = 12.0
 """Largest distance of a point, in units of its depth below the camera; farther ones are too
 uncertain."""
 HALF_WIDTH = 0.5
-"""Half width of the strip below the camera, in units of its height: about that of a car's track."""
+"""Half width of the strip below the camera, in units of its height: about a car's track."""
 BLOCK_NS = 500_000_000
 """Smallest duration of a block; heights within a block share the motion of the suspension."""
 MIN_POINTS = 3
@@ -49,7 +49,8 @@ class GroundHeight:
 
     @property
     def ratio(self) -> float | None:
-        """The height over the known one, which is that of the baselines; None if it is unknown."""
+        """The height over the known one, which equals the calibrated baseline over the true one;
+        None if it is unknown."""
         return None if self.known_m is None else self.height_m / self.known_m
 
     @property
@@ -75,7 +76,7 @@ class GroundHeights:
         self._points_m: FloatArray = np.zeros((0, 3))
         """Points ahead as last seen, in the frame of the current camera, [N, 3]."""
         self._disparity_px: FloatArray = np.zeros(0)
-        """Their disparity then, [N]."""
+        """Disparity of the points when last seen, [N], px."""
         self._start_ns = 0
         """When the current block began."""
         self._block: list[FloatArray] = []
@@ -117,11 +118,11 @@ class GroundHeights:
             return None
         height_m, disparity_px = np.array(self._medians).T
         median_m = float(np.median(height_m))
-        # The variance of a median is that of the mean times π/2, for Gaussian errors.
-        of_scatter = np.sqrt(0.5 * np.pi / count) * float(np.std(height_m, ddof=1)) / median_m
+        # For Gaussian errors, the variance of a median is π/2 times the variance of the mean.
+        scatter_ratio = np.sqrt(0.5 * np.pi / count) * float(np.std(height_m, ddof=1)) / median_m
         # An offset δ of all disparities changes y = (v − c_v) b/d by −δ/d of itself.
-        of_offset = CONSTANT_SIGMA_PX / float(np.median(disparity_px))
-        sigma = float(np.hypot(of_scatter, of_offset))
+        offset_ratio = CONSTANT_SIGMA_PX / float(np.median(disparity_px))
+        sigma = float(np.hypot(scatter_ratio, offset_ratio))
         if not 0.0 < sigma < MAX_SIGMA:
             return None
         return GroundHeight(median_m, sigma * median_m, count, self._known_m)
@@ -148,10 +149,12 @@ class GroundHeights:
         # the strip below the camera; a point above the path has a negative height, and fails.
         is_below = np.abs(self._points_m @ aside) < HALF_WIDTH * height_m
         is_passed = (along_m >= 0.0) & (along_m < length_m)
-        found = is_passed & is_below
-        if found.any() and not self._block:
+        is_measured = is_passed & is_below
+        if is_measured.any() and not self._block:
             self._start_ns = stamp_ns
-        self._block += list(np.column_stack([height_m[found], self._disparity_px[found]]))
+        self._block += list(
+            np.column_stack([height_m[is_measured], self._disparity_px[is_measured]])
+        )
         # One median a block; points that are still ahead are kept for later steps.
         if len(self._block) >= MIN_POINTS and stamp_ns - self._start_ns >= BLOCK_NS:
             self._medians.append(np.median(self._block, axis=0))

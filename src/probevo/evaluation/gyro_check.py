@@ -53,8 +53,8 @@ class GyroCheck:
     C_cam_imu: FloatArray
     """Rotation of the IMU to the camera that agrees with the images, [3, 3]."""
     attenuation: float
-    """Bias of s by the gyro's noise (regression dilution): the variance of the noise over that of
-    the rotations. It matters if the camera hardly turns."""
+    """Bias of s by the gyro's noise (regression dilution): the variance of the noise over
+    the variance of the rotations. It matters if the camera hardly turns."""
 
 
 def integrated_rotations(
@@ -98,19 +98,19 @@ def check_gyro(
     """
     # Starts, Gauss–Newton from each, and the solution of the least cost.
     problem = _Problem(between_ns, rotation_rad, stream, calibration)
-    by_lag = {float(lag_s): problem.gyro_rotations(float(lag_s)) for lag_s in LAGS_S}
-    if max(int(_covered(gyro_rad).sum()) for gyro_rad in by_lag.values()) < MIN_STEPS:
+    rotations_by_lag = {float(lag_s): problem.gyro_rotations(float(lag_s)) for lag_s in LAGS_S}
+    if max(int(_covered(gyro_rad).sum()) for gyro_rad in rotations_by_lag.values()) < MIN_STEPS:
         return None
-    solutions = [problem.solved(start) for start in problem.starts(by_lag)]
-    found = [solution for solution in solutions if solution is not None]
-    if not found:
+    solutions = [problem.solved(start) for start in problem.starts(rotations_by_lag)]
+    converged = [solution for solution in solutions if solution is not None]
+    if not converged:
         return None
-    best = min(found, key=lambda regression: regression.cost)
+    best = min(converged, key=lambda regression: regression.cost)
     turned = so3.exp(best.values[MOUNTING]) @ calibration.C_cam_imu
     gyro_rad = problem.gyro_rotations(float(np.clip(best.values[LAG], LAGS_S[0], LAGS_S[-1])))
     covered = _covered(gyro_rad)
-    # Regression dilution: variance of the noise, three axes, over that of the rotations without
-    # their median rate. Rotors and engines shake a gyro more than its data sheet says.
+    # Regression dilution: variance of the noise, three axes, over the variance of the rotations
+    # without their median rate. Rotors and engines shake a gyro more than its data sheet says.
     swing = _without_median_rate(gyro_rad[covered], problem.duration_s[covered])
     per_second = max(3.0 * calibration.gyro_noise_rad_s_sqrt_hz**2, _white_noise_rad2_s(stream))
     noise = per_second * float(problem.duration_s[covered].sum())
@@ -136,17 +136,17 @@ class _Problem:
         """Integrate the gyro over the steps, [K, 3]; NaN where it does not cover them."""
         return integrated_rotations(self.between_ns, self.stream, self.calibration, lag_s)
 
-    def starts(self, by_lag: dict[float, FloatArray]) -> list[FloatArray]:
+    def starts(self, rotations_by_lag: dict[float, FloatArray]) -> list[FloatArray]:
         """Return values of the eight unknowns to start from.
 
         They are the given calibration; the same with the unit, of either sign, that makes the
-        rotations as large as those of the images; and with the best mounting (Kabsch), too. Each
+        rotations as large as the images'; and with the best mounting (Kabsch), too. Each
         has its best lag.
         """
         starts = []
         for sign, with_mounting in ((0.0, False), (1.0, False), (-1.0, False), (1.0, True)):
             fits = []
-            for lag_s, gyro_rad in by_lag.items():
+            for lag_s, gyro_rad in rotations_by_lag.items():
                 covered = _covered(gyro_rad)
                 if covered.sum() < MIN_STEPS:
                     continue
@@ -191,10 +191,10 @@ class _Problem:
             speed = (after - before)[covered] / (2.0 * _DIFFERENCE_S)
             # Jacobian by (δ, s − 1, b, τ), [k, 3, 8]: Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and Exp(ε)
             # φ ≈ φ − φ^ ε.
-            by_mounting = -so3.wedge(turned) @ so3.left_jacobian(values[MOUNTING])
+            mounting_jacobian = -so3.wedge(turned) @ so3.left_jacobian(values[MOUNTING])
             design = np.concatenate(
                 [
-                    by_mounting,
+                    mounting_jacobian,
                     directed[:, :, None],
                     self.duration_s[covered][:, :, None] * np.eye(3),
                     factor * (speed @ so3.exp(values[MOUNTING]).T)[:, :, None],

@@ -30,16 +30,16 @@ class Metrics:
     rot_armse_rad: float | None = None
     """ARMSE of the attitude: as ``armse_m``, for the rotation vector of the attitude error."""
     path_length_m: float | None = None
-    """Length of the polyline through the known true positions: less than that of the true path
-    where there are few of them."""
+    """Length of the polyline through the known true positions: shorter than the true path
+    where few are known."""
     ate_rmse_m: float | None = None
     """Absolute trajectory error, RMS over frames after the best rigid alignment."""
     ate_unaligned_rmse_m: float | None = None
     """RMS of the position error with the first poses made equal, instead of an alignment."""
     kitti_t_percent: float | None = None
     """Translation error over segments of 100, 200 … 800 m from every tenth frame. Where the truth
-    is sparse, segments are longer (``segments.segment_errors``), as those of ``short_t_percent``
-    are."""
+    is sparse, segments are longer (``segments.segment_errors``), also for
+    ``short_t_percent``."""
     kitti_r_deg_per_m: float | None = None
     """Rotation error over the same segments."""
     short_t_percent: float | None = None
@@ -52,7 +52,7 @@ class Metrics:
     """Relative pose error frame to frame, RMS of the angle."""
     anees: float | None = None
     """Average NEES of the relative motions; 6 is consistent, unless the truth is itself noisy, as
-    that of KITTI is."""
+    KITTI's is."""
     nees_coverage: dict[str, float] | None = None
     """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by
     that percentage."""

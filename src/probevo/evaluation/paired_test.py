@@ -59,8 +59,8 @@ class PairedDifference:
     """Quantile of |A − B| under the hypothesis that both are equally good, at the confidence of the
     test."""
     p_value: float
-    """Share of the exchanges whose |A − B| is at least that of the runs, themselves included; what
-    differs by rounding is equal."""
+    """Share of the exchanges whose |A − B| is at least as large as in the runs, which are included.
+    Differences by rounding do not count."""
     confidence: float
     """Probability that the margin holds if the hypothesis does."""
 
@@ -73,7 +73,7 @@ class PairedDifference:
     def reduction_percent(self) -> tuple[float, float, float]:
         """By how much A is less than B, % of B, with both ends of its confidence interval.
 
-        The interval is that of a shift: the margin to both sides of the difference.
+        The interval assumes a shift: it is the margin to both sides of the difference.
         """
         percent = 100.0 / self.error_b if self.error_b > 0.0 else 0.0  # both are without error
         difference = self.error_b - self.error_a
@@ -138,19 +138,19 @@ def paired_differences(
 def _compared(
     error_a: float, error_b: float, drawn: FloatArray, *, confidence: float
 ) -> PairedDifference:
-    """Compare the difference of two errors with those after R exchanges, [R]."""
-    as_run = abs(error_a - error_b)
-    # The runs as they are are one of the exchanges, so that the level of the test is exact.
-    differences = np.append(np.abs(drawn), as_run)
+    """Compare the difference of two errors with the differences after R exchanges, [R]."""
+    observed = abs(error_a - error_b)
+    # The runs as they are count as one of the exchanges; only then is the level of the test exact.
+    differences = np.append(np.abs(drawn), observed)
     # Many exchanges may give the very difference of the runs, as where these differ in few steps.
     # Ties count, whatever the rounding of either path.
-    is_tie = np.abs(differences - as_run) <= _ROUNDING * max(error_a, error_b)
-    differences[is_tie] = as_run
+    is_tie = np.abs(differences - observed) <= _ROUNDING * max(error_a, error_b)
+    differences[is_tie] = observed
     return PairedDifference(
         error_a=error_a,
         error_b=error_b,
         margin=float(np.quantile(differences, confidence, method="higher")),
-        p_value=float(np.mean(differences >= as_run)),
+        p_value=float(np.mean(differences >= observed)),
         confidence=confidence,
     )
 
@@ -160,11 +160,11 @@ def _all_signs(draws: int, steps: int, rng: np.random.Generator) -> Iterator[Flo
 
     They do not depend on the size of the batches.
     """
-    at_once = max(1, _STEPS_AT_ONCE // steps)
+    batch = max(1, _STEPS_AT_ONCE // steps)
     for start in range(0, draws, _SIGNS_AT_ONCE):
         signs = random_signs(min(_SIGNS_AT_ONCE, draws - start), steps, rng)
-        for first in range(0, len(signs), at_once):
-            yield signs[first : first + at_once]
+        for first in range(0, len(signs), batch):
+            yield signs[first : first + batch]
 
 
 def random_signs(count: int, steps: int, rng: np.random.Generator) -> FloatArray:
@@ -174,8 +174,8 @@ def random_signs(count: int, steps: int, rng: np.random.Generator) -> FloatArray
     begins = rng.random((count, steps)) < steps ** (-1.0 / 3.0)
     begins[:, 0] = True
     number = np.cumsum(begins, axis=1) - 1
-    of_block = rng.choice([-1.0, 1.0], size=(count, steps))
-    return np.take_along_axis(of_block, number, axis=1)
+    block_signs = rng.choice([-1.0, 1.0], size=(count, steps))
+    return np.take_along_axis(block_signs, number, axis=1)
 
 
 def exchanged_differences(
@@ -186,13 +186,13 @@ def exchanged_differences(
     Args:
         difference: of the motions of A and B at K steps, left tangent vectors, [K, 6], m and rad.
         models: coefficients of the autoregression of each of its columns.
-        signs: of the innovations of each step after each of R exchanges, [R, K]: all six at once,
-            so that the correlation of the axes remains.
+        signs: of the innovations of each step after each of R exchanges, [R, K]: the same for
+            all six axes, whose correlation thus remains.
     """
     drawn = np.empty((len(signs), *difference.shape))
     for axis, coefficients in enumerate(models):
-        of_steps = innovations(coefficients, difference[:, axis])
-        drawn[..., axis] = series_of(coefficients, signs * of_steps)
+        step_innovations = innovations(coefficients, difference[:, axis])
+        drawn[..., axis] = series_of(coefficients, signs * step_innovations)
     return drawn
 
 

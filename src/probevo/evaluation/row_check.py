@@ -29,7 +29,7 @@ DELAY_SIGMA_S = 0.1
 _MOMENT_S = 1e-3
 """Duration of the difference quotient for a speed."""
 DELAY = 7
-"""Index of δ among the coefficients; before it are those of ``row_basis``."""
+"""Index of δ among the coefficients; before it come the coefficients of ``row_basis``."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class RowSamples:
                 mean of the steps before and after it.
             camera: the rectified camera.
         """
-        # Transfer the points back by a moment: C_before_now = Exp(−ω δt), as the rate is that of
+        # Transfer the points back by a moment: C_before_now = Exp(−ω δt), as the rate belongs to
         # C_curr_prev. A rotation alone moves images of points at any depth alike.
         back = so3.exp(-_MOMENT_S * rate_rad_s)
         before = transfer(corrected_px, se3.from_parts(back, np.zeros(3)), camera)
@@ -77,13 +77,12 @@ def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
     pixels = np.concatenate([frame.pixels for frame in frames])
     speed = np.concatenate([frame.row_speed_px_s for frame in frames])
     number = np.repeat(np.arange(len(frames)), [len(frame.pixels) for frame in frames])
-    # The prior is weaker than that of the odometry: here the rectification is tested, not
-    # corrected.
+    # The prior is weaker than the odometry's: here the rectification is tested, not corrected.
     return regress(
         np.column_stack([row_basis(pixels, camera), speed]),
         pixels[:, 3] - pixels[:, 1],
         number,
         prior_sigma=np.r_[10.0 * ROW_SIGMA_PX, DELAY_SIGMA_S],
-        # A feature keeps some of its error, that of its texture, for as long as it is seen.
+        # A feature keeps the part of its error due to its texture for as long as it is seen.
         track=np.concatenate([frame.ids for frame in frames]),
     )

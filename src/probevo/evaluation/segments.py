@@ -31,7 +31,7 @@ class SegmentErrors:
     """Nominal length, [S]."""
     translation: FloatArray
     """Error of the end position over the length (``segment_errors`` says which), [..., S], m/m; the
-    leading dimensions are those of the paths."""
+    leading dimensions enumerate the paths."""
     rotation_rad_m: FloatArray
     """Angle of the rotation error at the end over the length, [..., S]."""
 
@@ -56,8 +56,8 @@ def segment_errors(
 ) -> SegmentErrors:
     """Compute the errors of all segments that fit into the true path of K frames.
 
-    A segment ends at the first frame whose distance along the true path exceeds that of its start
-    by more than its length, as in the devkit, and its errors are divided by that nominal length. If
+    A segment ends at the first frame that is farther from its start along the true path than
+    its length, as in the devkit, and its errors are divided by that nominal length. If
     it ends after a gap of the truth, and exceeds the nominal length by more than the mean step of
     the frames in this gap, they are divided by the distance along the true path instead.
 

@@ -23,7 +23,11 @@ def relative_motions(T_world_cam: FloatArray) -> FloatArray:
 
 
 def path_length(T_world_cam: FloatArray) -> float:
-    """Measure the polyline through the positions, m."""
+    """Measure the polyline through the positions, m.
+
+    Args:
+        T_world_cam: poses of K frames, [K, 4, 4], m, in any world frame.
+    """
     return float(distance_along_path(T_world_cam)[-1])
 
 
@@ -48,7 +52,7 @@ def rotation_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -
 def armse(errors: FloatArray) -> float:
     """Average the root mean square error over frames, mean_k √(‖e_k‖²/3) (PROBE, Table I).
 
-    The root mean square is that over the three axes of each error; errors are [K, 3].
+    The root mean square is taken over the three axes of each error, [K, 3].
     """
     return float(np.mean(np.linalg.norm(errors, axis=1)) / np.sqrt(3.0))
 
@@ -59,6 +63,12 @@ def ate_rmse(
     """Compute the absolute trajectory error (ATE), RMS over positions, m.
 
     Positions are compared after the best rigid alignment, or with the first cameras made equal.
+
+    Args:
+        T_world_cam_est: estimated poses, [K, 4, 4], m. With ``align``, in any world frame.
+        T_world_cam_true: true poses of the same frames, [K, 4, 4], m, in a world frame of their
+            own.
+        align: whether to align all positions rigidly first.
     """
     if not align:
         return _rms(position_errors(T_world_cam_est, T_world_cam_true))
@@ -85,9 +95,17 @@ def rpe_rmse(
 ) -> tuple[float, float] | None:
     """Compute the relative pose error (RPE) from frame to frame (Sturm et al. 2012, as in evo).
 
-    Returns the RMS of its translation, m, and of its angle, deg; None without a step whose truth is
-    known at both ends. The truth of KITTI is itself noisy from frame to frame, more so than good
-    stereo odometry, so that this measures the truth as much as the estimate.
+    The truth of KITTI is itself noisy from frame to frame, more so than good stereo odometry. There
+    the RPE measures the truth as much as the estimate.
+
+    Args:
+        T_world_cam_est: estimated poses, [K, 4, 4], m, in any world frame.
+        T_world_cam_true: true poses of the same frames, [K, 4, 4], m, in any world frame; NaN where
+            unknown.
+
+    Returns:
+        The RMS of its translation, m, and of its angle, deg; None without a step whose truth is
+        known at both ends.
     """
     motion_true = relative_motions(T_world_cam_true)
     known = np.isfinite(motion_true).all(axis=(1, 2))

@@ -23,10 +23,10 @@ def truth_noise_ratio(
     """Estimate the noise of the true steps, in multiples of the claimed standard deviation.
 
     A vehicle moves smoothly, and its vibrations are in the truth and in the estimate. If the second
-    differences of the true motions are larger than those of the estimates, the excess is therefore
-    noise of the truth. Above a ratio of 1, the errors of steps are mostly those of the truth, and
-    the consistency of the covariance cannot be tested. Smoothed truth gives too small a ratio, so
-    that it is a lower bound.
+    differences of the true motions are larger than the estimates', the excess is therefore noise of
+    the truth. Above a ratio of 1, the errors of steps come mostly from the truth, and the
+    consistency of the covariance cannot be tested. Smoothed truth gives too small a ratio, which
+    makes it a lower bound.
 
     Args:
         T_curr_prev: estimates, [K, 4, 4], m.
@@ -38,15 +38,17 @@ def truth_noise_ratio(
         estimate. None if too few successive steps have a truth.
     """
     # ξ_{k−1} − 2 ξ_k + ξ_{k+1} of the motions, [K − 2, 6]
-    of_truth = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
-    of_estimate = np.diff(se3.log(T_curr_prev), n=2, axis=0)
-    known = np.isfinite(of_truth).all(axis=1)
+    truth_differences = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
+    estimate_differences = np.diff(se3.log(T_curr_prev), n=2, axis=0)
+    known = np.isfinite(truth_differences).all(axis=1)
     if known.sum() < MIN_STEPS:
         return None
     ratios = []
     # Translation, then rotation: σ² of one axis times three in both numerator and denominator
     for part in (slice(0, 3), slice(3, 6)):
-        excess = _mean_square(of_truth[known, part]) - _mean_square(of_estimate[known, part])
+        excess = _mean_square(truth_differences[known, part]) - _mean_square(
+            estimate_differences[known, part]
+        )
         claimed = np.median(np.trace(cov[:, part, part], axis1=1, axis2=2))
         ratios.append(np.sqrt(max(excess, 0.0) / SECOND_DIFFERENCE_GAIN / claimed))
     return float(max(ratios))

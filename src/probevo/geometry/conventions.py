@@ -3,7 +3,7 @@
 Frames
     ``T_b_a`` maps coordinates in frame a to frame b: p_b = T_b_a p_a, so T_c_a = T_c_b T_b_a.
     ``C_b_a`` is its rotation, and its translation is the origin of a seen from b. A camera frame
-    has x right, y down, z forward; the frame called ``world`` is that of the first left camera.
+    has x right, y down, z forward; the frame called ``world`` is the first left camera's.
 
 Tangent vectors
     ξ = [ρ; φ], translation first, in m and rad (thesis eq. 2.13). Exp and Log go between ξ and the
@@ -12,8 +12,8 @@ Tangent vectors
 Perturbations and covariances
     Perturbations act on the left: T = Exp(δξ) T̄ (thesis eqs. 2.22, 2.26), so that δξ lives in the
     *target* frame b of T_b_a. Every pose covariance is the 6×6 covariance of that δξ. ROS uses the
-    covariance of translation and fixed-axis angles instead, and GTSAM that of a right perturbation
-    with the rotation first; the writers of such formats convert.
+    covariance of translation and fixed-axis angles instead, and GTSAM the covariance of a right
+    perturbation with the rotation first; the writers of such formats convert.
 
 Quaternions
     [w, x, y, z], scalar first (thesis eq. 2.7).

@@ -109,7 +109,7 @@ def normalized_error_squared(
         cov: covariances of the left perturbations of T_estimated, [..., 6, 6].
 
     Raises:
-        numpy.linalg.LinAlgError: a covariance is singular, as is that of a first frame.
+        numpy.linalg.LinAlgError: a covariance is singular, as a first frame's is.
     """
     xi = se3.log(T_true @ se3.inverse(T_estimated))
     return squared_mahalanobis(xi, cov)

@@ -33,9 +33,9 @@ class Outcome:
     squared: FloatArray
     """Squared Mahalanobis distance of each residual, [N]."""
     weight: FloatArray
-    """Robust weight of each, relative to that of a zero residual, [N], 0 to 1."""
+    """Robust weight of each residual, relative to the weight of a zero residual, [N], 0 to 1."""
     gated: BoolArray
-    """Which were rejected by the gate, [N]."""
+    """Which residuals the gate rejected, [N]."""
 
 
 class Measurement(Protocol):

@@ -20,7 +20,7 @@ class ConstantVelocity(VectorMeasurement):
         before: pose of a.
         prev: pose of b.
         curr: pose of c.
-        duration_ratio: s, the duration of b → c over that of a → b.
+        duration_ratio: s, the duration of b → c divided by the duration of a → b.
         covariance: of ξ, [6, 6], m and rad.
     """
 
@@ -63,8 +63,8 @@ class ConstantVelocity(VectorMeasurement):
             last_motion_cov: covariance of its motion, [6, 6].
         """
         # Far from the world's origin, rounding leaves the difference of two poses unsymmetric.
-        of_last_motion = 0.5 * (last_motion_cov + last_motion_cov.T)
-        cov = self.covariance + self.duration_ratio**2 * of_last_motion
+        symmetric_cov = 0.5 * (last_motion_cov + last_motion_cov.T)
+        cov = self.covariance + self.duration_ratio**2 * symmetric_cov
         return RelativePose(self.expected(values), cov, curr=self.curr, prev=self.prev)
 
     def residual(self, values: Values) -> FloatArray:

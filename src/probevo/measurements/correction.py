@@ -71,7 +71,7 @@ def read_correction(
     if not np.isfinite(answer.T_curr_prev).all():
         return Reading(name, reason="not a finite value")
     if answer.variables != (pose_of(prev_frame.index), pose_of(frame.index)):
-        what = "its motion is not from the pose of the previous frame to that of the current one."
+        what = "its motion is not from the previous frame's pose to the current frame's."
         cure = "Give curr=pose_of(frame.index) and prev=pose_of(prev_frame.index)."
         raise InputError(f"sensor {name}", what, cure)
     return Reading(name, (answer,), corrects=True)

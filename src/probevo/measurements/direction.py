@@ -1,4 +1,4 @@
-"""A known direction, such as that of the sun or of gravity, measured in the camera's frame."""
+"""A known direction, such as the sun's or gravity's, measured in the camera's frame."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class Direction(VectorMeasurement):
         in_camera: u, [3]; its length does not matter. NaN where the sensor has seen nothing.
         known: d, [3], in the world, which is the first camera; or, with ``north``, in east, north
             and up.
-        covariance: in the tangent plane, [2, 2], rad², in its directions of azimuth and zenith.
+        covariance: in the tangent plane, along its directions of azimuth and zenith, [2, 2],
+            rad².
         north: ``NORTH`` if ``known`` is in east, north and up; the attitude of the world relative
             to them is then estimated, too.
 
@@ -77,9 +78,9 @@ class Direction(VectorMeasurement):
             pose: pose of the camera.
             angles_rad: azimuth atan2(x, z) and zenith angle acos(−y); NaN where the sensor has
                 seen nothing.
-            known: the same direction, as of the constructor.
+            known: the same direction, as in the constructor.
             covariance: of these two angles, [2, 2], rad².
-            north: as of the constructor.
+            north: as in the constructor.
 
         Raises:
             InputError: the direction is straight up or down, where an azimuth has no meaning, or
@@ -109,19 +110,20 @@ class Direction(VectorMeasurement):
 
     def residual(self, values: Values) -> FloatArray:
         """Return Bᵀ Log_p(u), [2], rad."""
-        predicted = values[self.pose][:3, :3] @ self._in_world(values)
+        predicted = values[self.pose][:3, :3] @ self._known_in_world(values)
         cosine = float(self.in_camera @ predicted)
         # Bᵀ u has the length sin θ; Bᵀ Log_p(u) has the same direction and the length θ.
-        in_plane = tangent_axes(predicted).T @ self.in_camera
-        sine = math.hypot(in_plane[0], in_plane[1])
+        tangent = tangent_axes(predicted).T @ self.in_camera
+        sine = math.hypot(tangent[0], tangent[1])
         if sine < MIN_SINE:
             # Either equal, or opposite, where e has no direction: choose one.
             return np.zeros(2) if cosine > 0.0 else np.array([math.pi, 0.0])
-        residual: FloatArray = math.atan2(sine, cosine) / sine * in_plane
+        residual: FloatArray = math.atan2(sine, cosine) / sine * tangent
         return residual
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude relative to north, [2, 3].
+        """Return the Jacobians of e by the pose, [2, 6], and by the attitude relative to north,
+        [2, 3].
 
         It is the covariant derivative: as p moves, the axes are transported without rotating about
         it. A rotation of the axes would change neither the length of e nor the cost, but it would
@@ -129,7 +131,7 @@ class Direction(VectorMeasurement):
         changes by the fraction θ/tan θ, with θ the length of e.
         """
         C_cam_world = values[self.pose][:3, :3]
-        predicted = C_cam_world @ self._in_world(values)
+        predicted = C_cam_world @ self._known_in_world(values)
         residual = self.residual(values)
         angle = float(np.linalg.norm(residual))
         shrinks = np.eye(2)
@@ -138,19 +140,19 @@ class Direction(VectorMeasurement):
             across = angle / math.tan(min(angle, MAX_ANGLE_RAD))
             shrinks = across * np.eye(2) + (1.0 - across) * np.outer(towards, towards)
         # ∂e/∂p, [2, 3]; p = C d moves by φ × p = −p^ φ.
-        of_predicted = -shrinks @ tangent_axes(predicted).T
-        of_pose = np.zeros((2, 6))
-        of_pose[:, 3:] = -of_predicted @ so3.wedge(predicted)
+        direction_jacobian = -shrinks @ tangent_axes(predicted).T
+        pose_jacobian = np.zeros((2, 6))
+        pose_jacobian[:, 3:] = -direction_jacobian @ so3.wedge(predicted)
         if self.north is None:
-            return (of_pose,)
-        of_enu = jacobian_of_enu(values[self.north], self.known)
-        return of_pose, of_predicted @ C_cam_world @ of_enu
+            return (pose_jacobian,)
+        world_jacobian = jacobian_of_enu(values[self.north], self.known)
+        return pose_jacobian, direction_jacobian @ C_cam_world @ world_jacobian
 
-    def _in_world(self, values: Values) -> FloatArray:
+    def _known_in_world(self, values: Values) -> FloatArray:
         if self.north is None:
             return self.known
-        in_world: FloatArray = attitude_of_enu(values[self.north]) @ self.known
-        return in_world
+        known_in_world: FloatArray = attitude_of_enu(values[self.north]) @ self.known
+        return known_in_world
 
 
 def of_azimuth_and_zenith(azimuth_rad: float, zenith_rad: float) -> FloatArray:
@@ -172,9 +174,9 @@ def tangent_axes(direction: FloatArray) -> FloatArray:
     x, y, z = direction.tolist()
     level = math.hypot(x, z)
     sine, cosine = (x / level, z / level) if level > MIN_SINE else (0.0, 1.0)
-    of_azimuth = np.array([cosine, 0.0, -sine])
-    of_zenith = np.array([-y * sine, level, -y * cosine])
-    return np.stack([of_azimuth, of_zenith], axis=1)
+    azimuth_axis = np.array([cosine, 0.0, -sine])
+    zenith_axis = np.array([-y * sine, level, -y * cosine])
+    return np.stack([azimuth_axis, zenith_axis], axis=1)
 
 
 def _unit(direction: FloatArray, name: str) -> FloatArray:

@@ -16,7 +16,7 @@ MAX_UNSEEN = 0.25
 HOLE = 3.0
 """A gap is longer than this many sample periods."""
 PERIOD_MEMORY = 0.9
-"""Weight of the usual sample period against that of one interval, in the mean of their logarithms.
+"""Weight of the usual sample period against the period in one interval, in the mean of logarithms.
 At ten frames a second, no interval of a dropout of half a second is taken to be covered, and
 samples at a tenth of the rate are after ten frames."""
 _NO_BIAS = np.zeros(3)
@@ -39,7 +39,7 @@ class GyroRotation:
 def covers(
     imu: ImuSamples, start_ns: int, end_ns: int, usual_period_ns: float | None = None
 ) -> bool:
-    """Return whether the samples cover the interval; those of dropped frames may be missing.
+    """Return whether the samples cover the interval, which dropped frames may have left without.
 
     Args:
         imu: the samples.
@@ -126,8 +126,8 @@ def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray
 def means_between(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> FloatArray:
     """Return the mean of values [J, 3] between successive knots, [K − 1, 3], interpolated
     linearly."""
-    at_knots = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1)
-    means: FloatArray = 0.5 * (at_knots[:-1] + at_knots[1:])
+    values_at_knots = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1)
+    means: FloatArray = 0.5 * (values_at_knots[:-1] + values_at_knots[1:])
     return means
 
 
@@ -216,7 +216,7 @@ class GyroBias:
 
         It is a Kalman update with r ~ N(J δb, Q + Σ).
 
-        The arguments are those of ``updated_by_joint_solve``; Σ is now independent of the gyro.
+        It takes the arguments of ``updated_by_joint_solve``; Σ is now independent of the gyro.
         """
         return self._corrected(gyro, C_curr_prev_solved, cov_rotation, independent=True)
 
@@ -234,8 +234,8 @@ class GyroBias:
         innovation_cov = (
             self.rotation_cov(gyro) + cov_rotation if independent else self.rotation_cov(gyro)
         )
-        # K = P Jᵀ S⁻¹, with S that of the innovation. A pseudo-inverse, so that an interval of zero
-        # length, or a gyro without noise and bias, has no information instead of raising.
+        # K = P Jᵀ S⁻¹, with S the covariance of the innovation. By the pseudo-inverse, an interval
+        # of zero length, or a gyro without noise and bias, has no information instead of raising.
         K = P @ J.T @ np.linalg.pinv(innovation_cov, hermitian=True)
         # The rotation from the gyro's to the solved one, in the frame of the current camera.
         r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)

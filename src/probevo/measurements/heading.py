@@ -64,23 +64,24 @@ class Heading(VectorMeasurement):
         return np.array([math.remainder(difference, 2.0 * math.pi)])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude relative to north, [1, 3]."""
+        """Return the Jacobians of e by the pose, [1, 6], and by the attitude relative to north,
+        [1, 3]."""
         ahead = self._ahead_in_enu(values)
         level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), MIN_LEVEL**2)
         # e = measured − atan2(east, north), so that ∂e/∂(east, north) = (−north, east)/(east² +
         # north²).
-        of_ahead = np.array([[-ahead[1], ahead[0], 0.0]]) / level_squared
+        ahead_jacobian = np.array([[-ahead[1], ahead[0], 0.0]]) / level_squared
         C_enu_world = attitude_of_enu(self._north(values)).T
         C_enu_cam = C_enu_world @ values[self.pose][:3, :3].T
-        of_pose = np.zeros((1, 6))
+        pose_jacobian = np.zeros((1, 6))
         # C_world_cam = C̄ Exp(−φ), which moves the z axis by C̄ (z × φ).
-        of_pose[:, 3:] = of_ahead @ C_enu_cam @ so3.wedge(np.array([0.0, 0.0, 1.0]))
+        pose_jacobian[:, 3:] = ahead_jacobian @ C_enu_cam @ so3.wedge(np.array([0.0, 0.0, 1.0]))
         if self.north is None:
-            return (of_pose,)
+            return (pose_jacobian,)
         # d = C_enu_world w with w fixed: 0 = ∂C_world_enu d + C_world_enu ∂d, so that ∂d =
         # −C_enu_world (∂C_world_enu) d.
-        of_north = -of_ahead @ C_enu_world @ jacobian_of_enu(values[self.north], ahead)
-        return of_pose, of_north
+        north_jacobian = -ahead_jacobian @ C_enu_world @ jacobian_of_enu(values[self.north], ahead)
+        return pose_jacobian, north_jacobian
 
     def _north(self, values: Values) -> FloatArray:
         return np.zeros(3) if self.north is None else values[self.north]

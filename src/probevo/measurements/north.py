@@ -21,15 +21,15 @@ LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def attitude_of_enu(north: FloatArray) -> FloatArray:
-    """Return C_world_enu, [3, 3]: directions in east, north and up to those in the world."""
+    """Return C_world_enu, [3, 3], which maps directions in east, north and up to the world."""
     matrix: FloatArray = LEVEL @ so3.exp(_tilt(north)) @ _about_up(float(north[2]))
     return matrix
 
 
-def jacobian_of_enu(north: FloatArray, in_enu: FloatArray) -> FloatArray:
-    """Return ∂(C_world_enu d)/∂north of a direction d in east, north and up, [3, 3]."""
+def jacobian_of_enu(north: FloatArray, direction_enu: FloatArray) -> FloatArray:
+    """Return ∂(C_world_enu d)/∂north of a direction d in east, north and up, [3], as [3, 3]."""
     tilt = _tilt(north)
-    turned = _about_up(float(north[2])) @ in_enu
+    turned = _about_up(float(north[2])) @ direction_enu
     tilted = so3.exp(tilt) @ turned
     jacobian = np.empty((3, 3))
     # The tilt has no component about up: that rotation is the heading.

@@ -13,7 +13,8 @@ from probevo.measurements.variables import Values, Variable
 from probevo.measurements.vector_measurement import VectorMeasurement
 
 VAGUENESS = 1e3
-"""Standard deviation of the first camera's position before the first fix, in those of the fix."""
+"""Standard deviation of the first camera's position before the first fix, as a multiple of the
+fix's."""
 
 
 class Position(VectorMeasurement):
@@ -64,14 +65,15 @@ class Position(VectorMeasurement):
         return residual
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ of the pose, [3, 6], and those of north and of the origin, [3, 3] each."""
+        """Return the Jacobians of e by the pose, [3, 6], by north and by the origin, [3, 3]
+        each."""
         C_enu_world = attitude_of_enu(values[NORTH]).T
         # T_world_cam Exp(−ξ) moves the antenna l by C_world_cam (−ρ + l^ φ).
         C_enu_cam = C_enu_world @ values[self.pose][:3, :3].T
-        of_pose = np.hstack([C_enu_cam, -C_enu_cam @ so3.wedge(self.lever_m)])
+        pose_jacobian = np.hstack([C_enu_cam, -C_enu_cam @ so3.wedge(self.lever_m)])
         # d = C_enu_world p with p fixed: 0 = ∂C_world_enu d + C_world_enu ∂d.
         moved = jacobian_of_enu(values[NORTH], self._from_origin(values))
-        return of_pose, C_enu_world @ moved, -np.eye(3)
+        return pose_jacobian, C_enu_world @ moved, -np.eye(3)
 
     def origin_m(self, values: Values) -> FloatArray:
         """Return where the first camera is by this measurement alone, [3], m."""
@@ -80,6 +82,6 @@ class Position(VectorMeasurement):
 
     def _from_origin(self, values: Values) -> FloatArray:
         """Return the antenna from the first camera in east, north and up, [3], m."""
-        in_world = se3.transform(se3.inverse(values[self.pose]), self.lever_m[None])[0]
-        from_origin: FloatArray = attitude_of_enu(values[NORTH]).T @ in_world
+        antenna_in_world_m = se3.transform(se3.inverse(values[self.pose]), self.lever_m[None])[0]
+        from_origin: FloatArray = attitude_of_enu(values[NORTH]).T @ antenna_in_world_m
         return from_origin

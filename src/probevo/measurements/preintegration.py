@@ -26,12 +26,12 @@ from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import MAX_FORCE_M_S2, MAX_RATE_RAD_S, are_within
 
 MIN_SAMPLES = 5
-"""Number of samples that cover any interval. Fewer, as those of an inertial navigation system at
+"""Number of samples that cover any interval. Fewer, as an inertial navigation system gives at
 the rate of the frames, do not show how the acceleration changes between them, unless they follow
 one another closely."""
 CLOSE_NS = 1_000_000_000 // 55
 """Samples that are not farther apart than this in the mean cover any interval, even if there are
-only two. Of a swing at f, linear interpolation over h loses (2πfh)²/12: with samples of 60 Hz, 9 %
+only two. Linear interpolation over h loses (2πfh)²/12 of a swing at f: with samples of 60 Hz, 9 %
 at 10 Hz, faster than a hand or a vehicle moves of its own. The limit is halfway to 50 Hz, and the
 mean averages the jitter of stamps, so that an IMU of either rate is used always or never. An
 interval of 1/18 s or more has ``MIN_SAMPLES`` then, so that this counts for faster cameras
@@ -40,7 +40,7 @@ LONGEST_HOLE = 3.0
 """Longest time without a sample, in usual distances of samples."""
 MIN_GYRO_NOISE_RAD_S_SQRT_HZ = 1e-7
 MIN_ACCEL_NOISE_M_S2_SQRT_HZ = 1e-6
-"""Least noise densities, below those of the best sensors: a simulated IMU may have none at all, and
+"""Least noise densities, less than the best sensors have: a simulated IMU may have none at all, and
 the covariance of a preintegration must have an inverse."""
 NO_BIAS = np.zeros(6)
 

@@ -43,8 +43,8 @@ class RelativePose(RelativeMeasurement):
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of each pose, [6, 6]: −J(x)⁻¹ of the current one, x = −e."""
-        of_curr = -se3.inverse_left_jacobian(-self.residual(values))
+        curr_jacobian = -se3.inverse_left_jacobian(-self.residual(values))
         if self.prev is None:
-            return (of_curr,)
+            return (curr_jacobian,)
         # ξ_prev acts on the motion as −Ad(T_curr_prev) ξ_prev.
-        return (-of_curr @ se3.adjoint(self.motion(values)), of_curr)
+        return (-curr_jacobian @ se3.adjoint(self.motion(values)), curr_jacobian)

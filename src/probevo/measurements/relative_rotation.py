@@ -46,9 +46,9 @@ class RelativeRotation(RelativeMeasurement):
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂(−φ)/∂ξ of each pose; the Jacobian of Log is taken as 1, since φ is small."""
-        of_curr = np.hstack([np.zeros((3, 3)), -np.eye(3)])
+        curr_jacobian = np.hstack([np.zeros((3, 3)), -np.eye(3)])
         if self.prev is None:
-            return (of_curr,)
+            return (curr_jacobian,)
         # ξ_prev acts on the motion as −Ad(T_curr_prev) ξ_prev, and on −φ with the opposite sign.
         C_curr_prev = self.motion(values)[:3, :3]
-        return (np.hstack([np.zeros((3, 3)), C_curr_prev]), of_curr)
+        return (np.hstack([np.zeros((3, 3)), C_curr_prev]), curr_jacobian)

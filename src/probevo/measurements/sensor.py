@@ -30,9 +30,9 @@ Sensor = Callable[[Frame, Frame], Sequence[Measurement] | NoMeasurement]
 """Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``,
 or to a reason why there are none.
 
-Measurements of both poses enter the solve of the motion. Those of the current pose, alone or with
-``NORTH``, correct the pose in the world. A step may be repeated after an exception, so a sensor
-must be stateless: it looks up its measurement by the time of the frame."""
+Measurements of both poses enter the solve of the motion. Measurements of the current pose, alone or
+with ``NORTH``, correct the pose in the world. A step may be repeated after an exception, so sensors
+must be stateless: a sensor looks up its measurement by the time of the frame."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +49,28 @@ class Reading:
     def pose_measurements(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements of this pose alone, or of it and the world's states."""
         own = {pose, *WORLD_STATES}
-        return tuple(one for one in self.measurements if own >= set(one.variables))
+        return tuple(
+            measurement for measurement in self.measurements if own >= set(measurement.variables)
+        )
 
     def motion_measurements(self, pose: Variable) -> tuple[Measurement, ...]:
-        """Return the others, which also depend on the previous pose, with a bounded loss: a wrong
-        one has no influence on the solve."""
+        """Return the measurements that also depend on the previous pose, with a bounded loss: a
+        wrong one has no influence on the solve."""
         own = {pose, *WORLD_STATES}
-        others = (one for one in self.measurements if not own >= set(one.variables))
-        return tuple(one.bounded() if isinstance(one, VectorMeasurement) else one for one in others)
+        return tuple(
+            measurement.bounded() if isinstance(measurement, VectorMeasurement) else measurement
+            for measurement in self.measurements
+            if not own >= set(measurement.variables)
+        )
 
     def without_motion(self, pose: Variable) -> Reading:
-        """Keep only the measurements of this pose: a dead-reckoned step has no solve for the
-        others."""
-        pose_measurements = self.pose_measurements(pose)
+        """Keep only the measurements of this pose: a dead-reckoned step has no solve for
+        measurements of the motion."""
+        kept = self.pose_measurements(pose)
         reason = self.reason
-        if self.measurements and not pose_measurements:
+        if self.measurements and not kept:
             reason = "dead-reckoned step"
-        return Reading(self.name, pose_measurements, reason)
+        return Reading(self.name, kept, reason)
 
 
 def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:
@@ -89,7 +94,7 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
             what = f"it returned a list with {type(measurement).__name__}."
             raise InputError(f"sensor {name}", what, "Its items are measurements.")
         _check_poses(measurement, f"sensor {name}", prev_frame, frame)
-    finite = tuple(one for one in answer if _is_finite(one))
+    finite = tuple(measurement for measurement in answer if _is_finite(measurement))
     if answer and not finite:
         return Reading(name, reason="not a finite value")
     return Reading(name, finite)
@@ -111,24 +116,25 @@ def _is_finite(measurement: Measurement) -> bool:
 
 
 def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame: Frame) -> None:
-    """Refuse a measurement of other poses than those of the current and the previous frame, of the
-    previous one alone, of both and north, or of anything else.
+    """Refuse a measurement of a pose of any third frame, of the previous frame's pose alone, of
+    both poses and north, or of anything else.
 
     Raises:
         InputError: it is such a measurement.
     """
     curr = pose_of(frame.index)
-    poses = {one for one in measurement.variables if one.kind == curr.kind}
+    variables = measurement.variables
+    poses = {variable for variable in variables if variable.kind == curr.kind}
     if curr not in poses or not poses <= {curr, pose_of(prev_frame.index)}:
-        frames = ", ".join(str(one.frame) for one in sorted(poses)) or "none"
+        frames = ", ".join(str(pose.frame) for pose in sorted(poses)) or "none"
         what = f"at frame {frame.index} it measured the pose of frame {frames}."
-        cure = "Measure that of the current frame, alone or together with that of the previous one."
+        cure = "Measure the current frame's pose, alone or together with the previous frame's."
         raise InputError(where, what, cure)
-    others = [one for one in measurement.variables if one not in WORLD_STATES and one not in poses]
+    others = [variable for variable in variables if variable not in poses | WORLD_STATES]
     if others:
         what = f"at frame {frame.index} it measured {others[0]}."
         raise InputError(where, what, "Measure poses of the camera, and north.")
-    if len(poses) > 1 and WORLD_STATES & set(measurement.variables):
+    if len(poses) > 1 and WORLD_STATES & set(variables):
         # The solve of a motion is along the axes of the previous camera, and knows no north.
         what = f"at frame {frame.index} it measured north together with the previous pose."
         cure = (
@@ -142,7 +148,7 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
 
 
 def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:
-    """Return a name for each sensor: its own ``name``, that of the function or of the class.
+    """Return a name for each sensor: its own ``name``, or the name of the function or class.
 
     Sensors of one name are numbered.
 
@@ -158,5 +164,5 @@ def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:
         name = getattr(sensor, "name", None) or getattr(sensor, "__name__", type(sensor).__name__)
         name = str(name)
         candidates = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
-        names.append(next(one for one in candidates if one not in names))
+        names.append(next(candidate for candidate in candidates if candidate not in names))
     return tuple(names)

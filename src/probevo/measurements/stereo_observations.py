@@ -6,8 +6,8 @@ the current one, and T = T_curr_prev. Its scale Σ follows from the noise of bot
 
 If the noise model has a jitter ω of the rig (``camera.rig_jitter``), an error that is common to all
 features of a frame, then the jitter of both frames is a further unknown, η ~ N(0, I). The jitter of
-the current frame moves its right observations; that of the previous frame moves the points:
-e = y' − f(T g(y)) − D η (``jitter_numba``). The robust weights are those of the residuals after η
+the current frame moves its right observations; the jitter of the previous frame moves the points:
+e = y' − f(T g(y)) − D η (``jitter_numba``). The robust weights follow from the residuals after η
 is estimated, and the covariance of the motion is marginalised over η. Derivation:
 docs/conventions.md.
 """
@@ -179,7 +179,7 @@ class StereoObservations:
             noise: noise of the N features.
             camera: the rectified camera.
             poses: the poses of both frames; by default, the world is the previous camera.
-            loss: robust loss; by default that of the noise's own Student-t.
+            loss: robust loss; by default the one of the noise's own Student-t.
             disparity_prior: the disparity filter's prior of some of the disparities.
         """
         count = len(prev_px)
@@ -191,8 +191,8 @@ class StereoObservations:
             if jitter_priors.prev.mean.any():
                 prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ jitter_priors.prev.mean
         loss = RobustLoss.student_t() if loss is None else loss
-        # Copy: a model may give all features the same scale, as a read-only view without strides.
-        # That is another type for Numba, which would compile everything again.
+        # Copy: a model may give all features the same scale, as a read-only view without strides. A
+        # view is another type for Numba, which would compile everything again.
         scale = np.empty((count, 4, 4))
         scale[:] = noise.scale
         dof = np.empty(count)
@@ -274,8 +274,8 @@ class StereoObservations:
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        # The loop linearises at the refined points: start from those of the last call. On the first
-        # one they are the points themselves.
+        # The loop linearises at the refined points: start from the last call's. On the first call
+        # they are the points themselves.
         noise = _not_yet_propagated(self.propagated_noise.refined)
         if self.jitter is None:
             propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
@@ -313,8 +313,8 @@ class StereoObservations:
     def information(self, values: Values) -> FloatArray:
         """Return the Fisher information on the n unknowns, [n, n]."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        found = self.at(values).information
-        motion = Linearization(0.0, found, np.zeros(len(found)))
+        information = self.at(values).information
+        motion = Linearization(0.0, information, np.zeros(len(information)))
         return (motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)).hessian
 
     def outcome(self, values: Values) -> Outcome:
@@ -443,7 +443,7 @@ class StereoObservations:
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count
         # Σ b over Σ a. Bessel's correction for b: six degrees of freedom were fitted to the
-        # residuals; those of the jitter have a prior.
+        # residuals; the jitter's have a prior.
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)

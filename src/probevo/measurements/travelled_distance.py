@@ -16,7 +16,7 @@ AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 class TravelledDistance(RelativeMeasurement):
-    """A measured distance: that of the current camera from the previous one, along an axis.
+    """A measured distance of the current camera from the previous one, along an axis.
 
     Wheel odometry measures it if the axis is the driving direction. Between two frames, arc and
     chord are practically equal.
@@ -61,14 +61,14 @@ class TravelledDistance(RelativeMeasurement):
         # Position −Cᵀ t in the previous frame, with T_curr_prev = (C, t). ξ_curr: t moves by ρ +
         # φ × t and C by φ^ C, so that −Cᵀ t moves by −Cᵀ ρ. ξ_prev: it moves by ρ + φ × itself.
         C_prev_curr = self.motion(values)[:3, :3].T
-        of_curr = np.zeros((1, 6))
-        of_curr[0, :3] = self.axis @ C_prev_curr
+        curr_jacobian = np.zeros((1, 6))
+        curr_jacobian[0, :3] = self.axis @ C_prev_curr
         if self.prev is None:
-            return (of_curr,)
-        of_prev = np.zeros((1, 6))
-        of_prev[0, :3] = -self.axis
-        of_prev[0, 3:] = self.axis @ so3.wedge(self._position(values))
-        return of_prev, of_curr
+            return (curr_jacobian,)
+        prev_jacobian = np.zeros((1, 6))
+        prev_jacobian[0, :3] = -self.axis
+        prev_jacobian[0, 3:] = self.axis @ so3.wedge(self._position(values))
+        return prev_jacobian, curr_jacobian
 
     def _position(self, values: Values) -> FloatArray:
         """Return the position of the current camera in the frame of the previous one, [3], m."""

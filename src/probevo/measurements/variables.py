@@ -51,7 +51,12 @@ def dimension(value: FloatArray) -> int:
 
 
 def retract(value: FloatArray, step: FloatArray) -> FloatArray:
-    """Move a value by a step: Exp(ξ) T for a pose, plain addition for a vector."""
+    """Move a value by a step: Exp(ξ) T for a pose, plain addition for a vector.
+
+    Args:
+        value: T_cam_world, [4, 4], m; or a vector, [n], in units of its own.
+        step: ξ = [ρ; φ], [6], m and rad, in the camera's frame; or a vector, [n].
+    """
     if value.shape != (4, 4):
         return value + step
     moved = np.empty((4, 4))
@@ -61,10 +66,10 @@ def retract(value: FloatArray, step: FloatArray) -> FloatArray:
 
 def blocks_of(variables: Sequence[Variable], values: Values) -> tuple[dict[Variable, slice], int]:
     """Return where each variable's degrees of freedom lie in the joint vector, and their number."""
-    found: dict[Variable, slice] = {}
+    slices: dict[Variable, slice] = {}
     start = 0
     for variable in variables:
         stop = start + dimension(values[variable])
-        found[variable] = slice(start, stop)
+        slices[variable] = slice(start, stop)
         start = stop
-    return found, start
+    return slices, start

@@ -67,7 +67,7 @@ class VectorMeasurement(ABC):
         self.dof = dof
         self.gate = gate
         self._large_threshold = np.inf
-        # By its root, no rounding makes an information negative.
+        # Computed from its root, an information is never negative by rounding.
         inverse_root = np.linalg.inv(root)
         self._information: FloatArray = np.asarray(inverse_root.T @ inverse_root)
 
@@ -234,7 +234,7 @@ def bounded_weight(squared: float, threshold: float) -> float:
 
 def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:
     """Differentiate a residual by central differences: one [d, n] for each variable."""
-    found = []
+    jacobians_by_variable = []
     for variable in measurement.variables:
         columns = []
         # One column a degree of freedom, (e(+h) − e(−h))/(2 h). 1e-6 balances the truncation error,
@@ -244,5 +244,5 @@ def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[F
             behind = {**values, variable: retract(values[variable], -unit)}
             change = measurement.residual(ahead) - measurement.residual(behind)
             columns.append(change / 2e-6)
-        found.append(np.stack(columns, axis=1))
-    return tuple(found)
+        jacobians_by_variable.append(np.stack(columns, axis=1))
+    return tuple(jacobians_by_variable)

@@ -18,9 +18,9 @@ class Claimed(NamedTuple):
     """Errors on one recording of N inputs, and what was claimed for them."""
 
     errors: FloatArray
-    """[N, d]"""
+    """Error of each estimate along the tangent directions, [N, d]."""
     covariances: FloatArray
-    """[N, d, d]"""
+    """Covariance claimed for each, [N, d, d]."""
     widening: FloatArray
     """Factor by which each covariance was widened because the input is unlike the training data,
     [N]."""
@@ -57,24 +57,24 @@ def calibration(left_out: Sequence[Claimed]) -> Calibration:
     """Return the factor on covariances, from errors of recordings that were not learned from.
 
     Errors of successive data are correlated: the same street is seen again. A path adds them up,
-    and each measurement enters with a covariance of its own, so that the sum of ten errors has to
-    fit the sum of their covariances, too. The larger of the two factors counts.
+    and each measurement enters with a covariance of its own, and the sum of ten errors has to fit
+    the sum of their covariances, too. The larger of the two factors counts.
     """
     all_errors = np.concatenate([each.errors for each in left_out])
     all_covariances = np.concatenate([each.covariances for each in left_out])
     single = covariance_scale(all_errors, all_covariances)
     # No block reaches from one recording into the next.
-    in_blocks = covariance_scale(
+    block_scale = covariance_scale(
         np.concatenate([block_sums(each.errors) for each in left_out]),
         np.concatenate([block_sums(each.covariances) for each in left_out]),
     )
-    # In both, s = 1/(N d) Σ φᵀ Σ⁻¹ φ.
-    scale = max(single, in_blocks)
+    # Both scales are s = 1/(N d) Σ φᵀ Σ⁻¹ φ.
+    scale = max(single, block_scale)
     nll = negative_log_likelihoods(all_errors, scale * all_covariances)
     return Calibration(
         scale,
         single,
-        in_blocks,
+        block_scale,
         nll=float(np.mean(nll)),
         coverage_90=coverage(all_errors, scale * all_covariances, 0.9),
         num=len(all_errors),
@@ -84,5 +84,5 @@ def calibration(left_out: Sequence[Claimed]) -> Calibration:
 def block_sums(values: FloatArray) -> FloatArray:
     """Return the sums of each ten successive values, [N, …], in [N // 10, …]."""
     num_blocks = len(values) // BLOCK
-    in_blocks = values[: num_blocks * BLOCK].reshape(num_blocks, BLOCK, *values.shape[1:])
-    return np.asarray(in_blocks.sum(axis=1))
+    blocks = values[: num_blocks * BLOCK].reshape(num_blocks, BLOCK, *values.shape[1:])
+    return np.asarray(blocks.sum(axis=1))

@@ -140,8 +140,8 @@ class CorrectionTrunk(eqx.Module):
         channels, rows, columns = SHAPE
         sizes = (channels * PATCH**2, *PATCH_UNITS)
         keys = jax.random.split(key, len(sizes))
-        self.standard = _of_jax(standard)
-        self.linear = _of_jax(linear)
+        self.standard = _as_jax(standard)
+        self.linear = _as_jax(linear)
         self.patch_layers = [
             eqx.nn.Linear(sizes[k], sizes[k + 1], key=keys[k]) for k in range(len(sizes) - 1)
         ]
@@ -238,7 +238,7 @@ def _regressed(inputs: FloatArray, standard: Standardisation) -> FloatArray:
     return standardised_numbers[:, :NUM_REGRESSORS]
 
 
-def _of_jax(arrays: Any) -> Any:
+def _as_jax(arrays: Any) -> Any:
     return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), arrays)
 
 

@@ -60,8 +60,8 @@ class CorrectionSensor(MotionCorrection):
         field = stereo_field(virtual_view(prev_frame.left, self.camera), *views)
         # The same inputs as in training: fields of three views, the motion, and its covariance
         motion = se3.log(T_curr_prev)
-        found = self.network.estimate(inputs_of(field[None], motion[None], cov[None]))
-        if is_beyond_domain(float(found.widening[0])):
+        estimates = self.network.estimate(inputs_of(field[None], motion[None], cov[None]))
+        if is_beyond_domain(float(estimates.widening[0])):
             return NoMeasurement("out of its domain")
         # Corrected axes have the covariance of what remains of their error; their correlation with
         # the other axes is unknown after the correction, and set to zero.
@@ -69,9 +69,9 @@ class CorrectionSensor(MotionCorrection):
         covariance[3:, :3] = 0.0
         covariance[:3, 3:] = 0.0
         axes = np.array(self.network.space.axes)
-        covariance[np.ix_(axes, axes)] = found.covariance[0]
+        covariance[np.ix_(axes, axes)] = estimates.covariance[0]
         return RelativePose(
-            se3.exp(found.xi[0]) @ T_curr_prev,
+            se3.exp(estimates.xi[0]) @ T_curr_prev,
             0.5 * (covariance + covariance.T),
             curr=pose_of(frame.index),
             prev=pose_of(prev_frame.index),

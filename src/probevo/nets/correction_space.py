@@ -2,8 +2,8 @@
 
 The loss is ½ gᵀ Σ⁻¹ g with g = Log(Exp(ξ) T*⁻¹) (thesis chapter 6). With Σ = L Lᵀ, the covariance
 of the training data, it is ½ |L⁻¹ g|². So errors here are L⁻¹ g, estimates ξ = L o of outputs o,
-and a covariance head gives Σ in the same units: where none is learned, it is that of the training
-data.
+and a covariance head gives Σ in the same units: where none is learned, it is the one of the
+training data.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class CorrectionTargets:
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return ξ, [..., 6], of outputs [..., d]."""
         root = jnp.asarray(self.root, outputs.dtype)
-        found = jnp.zeros((*outputs.shape[:-1], 6), outputs.dtype)
-        return found.at[..., jnp.array(self.axes)].set(outputs @ root.T)
+        xi = jnp.zeros((*outputs.shape[:-1], 6), outputs.dtype)
+        return xi.at[..., jnp.array(self.axes)].set(outputs @ root.T)
 
     def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
         """Return L⁻¹ g, [..., d]."""

@@ -136,14 +136,14 @@ def _train(
     # data, since that is what remains to be learned. With Σ = L Lᵀ of it, outputs are L⁻¹ ξ, and
     # the regression is converted to these units.
     wanted = learned.corrections[:, axes]
-    in_si = linear_fit(inputs, standard, wanted)
+    fit_si = linear_fit(inputs, standard, wanted)
     # What the regression leaves, [N, d], m and rad
-    remaining = wanted - linear_estimates(inputs, standard, in_si)
+    remaining = wanted - linear_estimates(inputs, standard, fit_si)
     least = np.diag(MIN_SIGMA[list(axes)] ** 2)
     root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)
     space = CorrectionTargets(tuple(map(tuple, root.tolist())), axes)
     to_units = np.linalg.inv(root)
-    linear = LinearFit(to_units @ in_si.weights, to_units @ in_si.offset)
+    linear = LinearFit(to_units @ fit_si.weights, to_units @ fit_si.offset)
 
     # The regression stays as it is; what is trained is added to it.
     method = method_of(settings)
@@ -170,13 +170,13 @@ def _train(
     network = calibrated(CorrectionNetwork(networks, domain, first), left_out)
     # What remains on the recordings left out, against simpler corrections
     constant = np.tile(wanted.mean(axis=0), (len(joined), 1))
-    of_linear = linear_estimates(inputs_left_out, standard, in_si)
-    of_network = network.estimate(inputs_left_out).xi[:, axes]
+    linear_corrections = linear_estimates(inputs_left_out, standard, fit_si)
+    network_corrections = network.estimate(inputs_left_out).xi[:, axes]
     baselines = {
         "uncorrected": np.zeros_like(constant),
         "constant": constant,
-        "linear regression": of_linear,
-        "network": of_network,
+        "linear regression": linear_corrections,
+        "network": network_corrections,
     }
     lengths = [len(part) for part in left_out]
     rms = {
@@ -207,9 +207,9 @@ def _built(
 
 def errors_of(network: CorrectionNetwork, steps: EstimatedSteps) -> Claimed:
     """Return g = Log(T_corr T*⁻¹) along the corrected axes, [N, d], and what was claimed."""
-    found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
-    errors = _remaining(found.xi, steps.corrections)[:, network.space.axes]
-    return Claimed(errors, found.covariance, found.widening)
+    estimates = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
+    errors = _remaining(estimates.xi, steps.corrections)[:, network.space.axes]
+    return Claimed(errors, estimates.covariance, estimates.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -235,7 +235,7 @@ def calibrated(
 ) -> CorrectionNetwork:
     """Return the network with the factors on corrections and covariances that others ask for.
 
-    The factor on corrections, between 0 and 1, is that of a regression of true on estimated ones,
+    The factor on corrections, between 0 and 1, comes from a regression of true on estimated ones,
     ten successive steps added up: what does not hold on other recordings is taken back.
 
     Args:
@@ -249,8 +249,8 @@ def calibrated(
     both = 0.0
     own = 0.0
     for steps in left_out:
-        found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
-        estimated = block_sums(found.xi[:, axes])
+        estimates = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
+        estimated = block_sums(estimates.xi[:, axes])
         true = block_sums(steps.corrections[:, axes])
         both += float(np.einsum("ni,ij,nj->", estimated, information, true))
         own += float(np.einsum("ni,ij,nj->", estimated, information, estimated))

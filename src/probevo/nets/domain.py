@@ -23,7 +23,7 @@ class Domain(NamedTuple):
     """
 
     mean: AnyArray
-    """[f]"""
+    """Mean of each feature, [f]."""
     information: AnyArray
     """Inverse of the covariance, [f, f]."""
     limit: AnyArray
@@ -42,7 +42,7 @@ class Domain(NamedTuple):
             np.asarray(information, np.float32),
             np.ones((), np.float32),
         )
-        # The limit is that of data left out, since the network has not adapted to them.
+        # The limit comes from data left out, since the network has not adapted to them.
         limit = np.quantile(domain.distance_squared(left_out), USUAL_SHARE)
         return domain._replace(limit=np.asarray(limit, np.float32))
 

@@ -48,9 +48,9 @@ class _Asked(NamedTuple):
     """The motion of the images in a step that a correction is asked about."""
 
     T_curr_prev: FloatArray
-    """[4, 4], m."""
+    """Motion, [4, 4], m."""
     cov: FloatArray
-    """[6, 6]."""
+    """Covariance of its left perturbation, [6, 6], m and rad."""
 
 
 class _Recorder(MotionCorrection):
@@ -72,7 +72,7 @@ class _Recorder(MotionCorrection):
 def stereo_field(prev: Image, left: Image, right: Image) -> FloatArray:
     """Return what a network sees of three images of the virtual camera, [6, rows, columns].
 
-    The first four channels are those of ``flow_field`` from the previous to the current left image,
+    The first four channels are ``flow_field`` from the previous to the current left image,
     the other two the flow from the left to the right one. Rows differ where the rectification is
     wrong.
     """
@@ -83,7 +83,7 @@ def view_pair(left: Image, right: Image, camera: StereoCamera) -> tuple[Image, I
     """Return what the virtual camera sees of both images, [80, 288] each.
 
     Raises:
-        InputError: the camera's field of view is smaller than that of the virtual one.
+        InputError: the camera's field of view is smaller than the virtual camera's.
     """
     return virtual_view(left, camera), virtual_view(right, camera)
 

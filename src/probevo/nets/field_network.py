@@ -46,9 +46,9 @@ class LinearFit(NamedTuple):
     """A linear regression on the standardised flow, in arrays of NumPy or JAX."""
 
     weights: Any
-    """[o, 2 · rows/2 · columns/2]"""
+    """Weights of each output, [o, 2 · rows/2 · columns/2]."""
     offset: Any
-    """[o]"""
+    """Offset of each output, [o]."""
 
 
 class FieldFit(NamedTuple):
@@ -74,7 +74,7 @@ class FieldTrunk(eqx.Module):
     """Two layers over each patch of cells, the same for all, and one over all of them, with ReLU.
 
     The last layer has separate weights for each place, since the meaning of a flow depends on where
-    in the image it is. The first features are those of the linear regression.
+    in the image it is. The first features belong to the linear regression.
     """
 
     mean: jax.Array
@@ -156,8 +156,8 @@ def empty_field_networks(method: Method, space: TargetSpace, num_channels: int) 
     rows, columns = CELLS
     pooled = NUM_FLOW * (rows // POOL) * (columns // POOL)
     linear = LinearFit(np.zeros((space.num_outputs, pooled)), np.zeros(space.num_outputs))
-    of_channels = np.zeros((num_channels, 1, 1))
-    fit = FieldFit(mean=of_channels, scale=of_channels, linear=linear)
+    channel_zeros = np.zeros((num_channels, 1, 1))
+    fit = FieldFit(mean=channel_zeros, scale=channel_zeros, linear=linear)
     build_one = partial(field_network, method, space=space, fit=fit)
     return empty_networks(build_one, method.networks)
 

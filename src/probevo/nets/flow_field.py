@@ -26,7 +26,7 @@ from probevo.errors import InputError
 Fields = Any
 """Arrays of NumPy, or of JAX."""
 FOCAL_PX = 180.0
-"""Focal length of the virtual camera: half that of the rendered scenes, a quarter of KITTI's."""
+"""Focal length of the virtual camera: half the rendered scenes', a quarter of KITTI's."""
 SIZE_PX = (288, 80)
 """Width and height of its images: x from −0.8 to 0.8, y from −0.22 to 0.22."""
 CELL_PX = 4
@@ -43,7 +43,7 @@ def virtual_view(image: Image, camera: StereoCamera) -> Image:
     """Return what the virtual camera sees of an image, [80, 288], uint8.
 
     Raises:
-        InputError: the camera's field of view is smaller than that of the virtual one.
+        InputError: the camera's field of view is smaller than the virtual camera's.
     """
     check_field_of_view(camera)
     # Affine map from a pixel of the virtual camera to the pixel of the image with the same ray: u =
@@ -97,7 +97,7 @@ def field_of_images(prev: Image, curr: Image, camera: StereoCamera) -> FloatArra
     """Return what a network sees of two images of a camera, [4, rows, columns], float32.
 
     Raises:
-        InputError: the camera's field of view is smaller than that of the virtual one.
+        InputError: the camera's field of view is smaller than the virtual camera's.
     """
     return flow_field(virtual_view(prev, camera), virtual_view(curr, camera))
 

@@ -23,7 +23,7 @@ class ImagePairs:
     """N pairs of consecutive images."""
 
     fields: FloatArray
-    """As ``flow_field`` gives them, [N, 4, rows, columns], float32."""
+    """Fields as ``flow_field`` gives them, [N, 4, rows, columns], float32."""
     rotations: FloatArray
     """True rotation vectors φ = Log(C_curr_prev), [N, 3], rad."""
 

@@ -64,13 +64,13 @@ class TrainingData(eqx.Module):
     """Training and validation data of S experiments with M networks each."""
 
     inputs: jax.Array
-    """[S, N, i]"""
+    """Training inputs of each experiment, [S, N, i]."""
     targets: jax.Array
     """Targets of each network and head, [S, M, N, H, o]."""
     samples: jax.Array
     """Which of the data each network is trained on, in this order, [S, M, N], int32."""
     held_out_inputs: jax.Array
-    """[S, N', i]; N' may be 0 where there is no ``patience``."""
+    """Validation inputs, [S, N', i]; N' may be 0 where there is no ``patience``."""
     held_out_targets: jax.Array
     """True values, [S, N', o]."""
     augment: Augment | None = eqx.field(static=True, default=None)
@@ -133,13 +133,13 @@ def learn(
     facts = {"method": asdict(method), "plan": asdict(plan), "probevo": __version__}
     # Resume from the file, if it is of the same training.
     if file is not None and file.exists():
-        found = read_facts(file)
-        if {name: found.get(name) for name in facts} != facts:
+        stored = read_facts(file)
+        if {name: stored.get(name) for name in facts} != facts:
             what = "holds networks of another method, plan or version of probevo."
             raise InputError(file, what, "Delete it, or name another file.")
-        if found.get("is_finished"):
+        if stored.get("is_finished"):
             networks = read_network_file(file, state.networks)
-            return Learned(networks, found.get("epochs"), found.get("kept_epoch"))
+            return Learned(networks, stored.get("epochs"), stored.get("kept_epoch"))
         state = read_network_file(file, state)
 
     # Epoch by epoch; the next one depends on the state, the data and the seed alone.
@@ -290,7 +290,7 @@ def _compiled_epoch(
         held_out_key = jax.random.fold_in(key, _HELD_OUT)
         loss = methods.calibrated_loss if plan.calibrated_after else methods.loss
         held_out_loss = _held_out_loss(space, networks, data, loss=loss, key=held_out_key)
-        # A loss of NaN is never better. The best networks are those of ``num_worse`` epochs ago.
+        # A loss of NaN is never better. The best networks date from ``num_worse`` epochs ago.
         is_better = held_out_loss < state.best_loss
         best = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), networks, state.best)
         return following._replace(

@@ -114,8 +114,8 @@ def calibrated_loss(
 
     Calibration multiplies all of them by one factor s, which is the likeliest at
     s = 1/(N d) Σ φᵀ Σ⁻¹ φ (``covariance_scale``). The loss is then ½ d (1 + ln s) + ½ log|Σ|. By
-    the loss without it a training would stop as soon as the errors that it learns from are smaller
-    than those of data left out, while the estimate is still getting better.
+    the loss without it a training would stop as soon as the errors on data that it learns from are
+    smaller than on data left out, while the estimate is still getting better.
 
     Args:
         space: what is regressed.
@@ -220,24 +220,26 @@ def estimates(
     over_passes = eqx.filter_vmap(over_inputs, in_axes=(None, None, 0))
     over_networks = eqx.filter_vmap(over_passes, in_axes=(eqx.if_array(0), None, 0))
     # [networks, passes, N, H, o] of estimates, and [networks, passes, N, c] of covariance heads
-    found, *raw = over_networks(networks, inputs, keys)
-    by_input = jnp.moveaxis(found, 2, 0).reshape(len(inputs), -1, space.size)
+    estimated, *raw = over_networks(networks, inputs, keys)
+    estimated_by_input = jnp.moveaxis(estimated, 2, 0).reshape(len(inputs), -1, space.size)
     if not raw:
-        return by_input, None
-    return by_input, jnp.moveaxis(raw[0], 2, 0).reshape(len(inputs), -1, space.num_covariance)
+        return estimated_by_input, None
+    return estimated_by_input, jnp.moveaxis(raw[0], 2, 0).reshape(
+        len(inputs), -1, space.num_covariance
+    )
 
 
-def prediction(space: TargetSpace, found: jax.Array, raw: jax.Array | None) -> Prediction:
+def prediction(space: TargetSpace, estimated: jax.Array, raw: jax.Array | None) -> Prediction:
     """Return mean and covariance of the estimates of each input, in float64.
 
     Args:
         space: what is regressed.
-        found: estimates, [..., N, K, o].
+        estimated: estimates, [..., N, K, o].
         raw: outputs of covariance heads, [..., N, *, c]; their covariances are averaged.
     """
     # Mean over the K estimates, [..., N, o]
-    mean = space.mean(found)
-    errors = np.asarray(space.difference(found, mean[..., None, :]), np.float64)
+    mean = space.mean(estimated)
+    errors = np.asarray(space.difference(estimated, mean[..., None, :]), np.float64)
     num_estimates = errors.shape[-2]
     # 1/(K − 1) Σ φ φᵀ, with φ the errors of the estimates against their mean, [..., N, K, d]
     spread = errors.mT @ errors / max(num_estimates - 1, 1)

@@ -76,9 +76,9 @@ def read_network_file(path: Path, tree: Tree) -> Tree:
     arrays = _read(path)[1]
     expected = named_arrays(tree)
     for name, array in expected.items():
-        found = arrays.get(name)
-        if found is None or found.shape != array.shape or found.dtype != array.dtype:
-            has = "is missing" if found is None else f"is {found.dtype} {list(found.shape)}"
+        stored = arrays.get(name)
+        if stored is None or stored.shape != array.shape or stored.dtype != array.dtype:
+            has = "is missing" if stored is None else f"is {stored.dtype} {list(stored.shape)}"
             what = f"{has}; expected {array.dtype} {list(array.shape)}."
             raise InputError(f"{path}: {name}", what, CURE_OF_VERSION)
     if len(arrays) > len(expected):

@@ -16,7 +16,7 @@ class Trunk(Protocol):
     """A part of a network that maps a single input, [i], to features, [f]."""
 
     def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
-        """Return the features; the key is that of the dropout, None for none."""
+        """Return the features; the key is for the dropout, None for none."""
 
 
 class Network(eqx.Module):

@@ -26,7 +26,7 @@ def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
         order: n.
         angle_sq: θ², [...], rad²; accurate up to θ = 2π.
     """
-    # By Horner's rule: no case distinction, and so no NaN in derivatives.
+    # Horner's rule needs no case distinction, and so gives no NaN in derivatives.
     total = jnp.zeros_like(angle_sq)
     for k in reversed(range(TERMS)):
         total = total * angle_sq + (-1) ** k / factorial(2 * k + order)

@@ -38,9 +38,9 @@ class RandomCopies:
 
     augment: Augment
     inputs: FloatArray
-    """[N, …]"""
+    """Inputs that are copied, [N, …]."""
     targets: FloatArray
-    """[N, o]"""
+    """Target of each input, [N, o]."""
     count: int
     """Copies of each."""
     seed: int
@@ -54,8 +54,8 @@ class RandomCopies:
                 rows = slice(first, first + BATCH)
                 inputs = jnp.asarray(self.inputs[rows], jnp.float32)
                 targets = jnp.asarray(self.targets[rows, None], jnp.float32)
-                copies, of_copies = augment(inputs, targets, next(keys))
-                yield np.asarray(copies), np.asarray(of_copies[:, 0], np.float64)
+                copies, copied_targets = augment(inputs, targets, next(keys))
+                yield np.asarray(copies), np.asarray(copied_targets[:, 0], np.float64)
 
     @property
     def _num_batches(self) -> int:
@@ -72,16 +72,16 @@ def turned_pairs(
         q_curr_prev: their rotations, unit quaternions, [B, H, 4].
         key: of the rotations, and of which are mirrored.
     """
-    of_mirror, of_factor, of_turn = jax.random.split(key, 3)
+    mirror_key, factor_key, turn_key = jax.random.split(key, 3)
     count = len(fields)
     # Mirrored, a rotation (φ_x, φ_y, φ_z) is (φ_x, −φ_y, −φ_z).
-    is_mirrored = jax.random.bernoulli(of_mirror, 0.5, (count, 1, 1))
+    is_mirrored = jax.random.bernoulli(mirror_key, 0.5, (count, 1, 1))
     fields = jnp.where(is_mirrored[..., None], mirrored(fields), fields)
     sign = jnp.array([1.0, 1.0, -1.0, -1.0])
     q_curr_prev = jnp.where(is_mirrored, sign * q_curr_prev, q_curr_prev)
     # C' = C C_curr_prev: the copy has turned by C after the step.
-    factor = jnp.exp(FURTHER_SPREAD * jax.random.normal(of_factor, (count, 1)))
-    further = factor * FURTHER_SIGMA_RAD * jax.random.normal(of_turn, (count, 3))
+    factor = jnp.exp(FURTHER_SPREAD * jax.random.normal(factor_key, (count, 1)))
+    further = factor * FURTHER_SIGMA_RAD * jax.random.normal(turn_key, (count, 3))
     q = quaternions.exp(jnp.clip(further, -MAX_FURTHER_RAD, MAX_FURTHER_RAD))
     axes = jnp.eye(3)[None]
     C = jnp.moveaxis(quaternions.rotate(q[:, None], axes), 1, 2)
@@ -101,16 +101,16 @@ def turned_views(
         directions: towards the sun in the camera, unit vectors, [B, H, 3].
         key: of the angles, and of which are mirrored.
     """
-    of_mirror, of_turn = jax.random.split(key)
+    mirror_key, turn_key = jax.random.split(key)
     count, _, _, num_columns = fields.shape
     # Channel 2 is the gradient along x, which changes its sign as x does.
     flipped = fields[..., ::-1] * jnp.array([1.0, 1.0, -1.0, 1.0])[:, None, None]
-    is_mirrored = jax.random.bernoulli(of_mirror, 0.5, (count, 1, 1))
+    is_mirrored = jax.random.bernoulli(mirror_key, 0.5, (count, 1, 1))
     fields = jnp.where(is_mirrored[..., None], flipped, fields)
     directions = jnp.where(is_mirrored, jnp.array([-1.0, 1.0, 1.0]) * directions, directions)
     # Content that moves to larger x has a camera that turns to the left: the sun turns about +y,
     # from z to x.
-    cells = jax.random.randint(of_turn, (count,), -MAX_CELLS, MAX_CELLS + 1)
+    cells = jax.random.randint(turn_key, (count,), -MAX_CELLS, MAX_CELLS + 1)
     columns = jnp.clip(jnp.arange(num_columns) - cells[:, None], 0, num_columns - 1)
     moved = jnp.take_along_axis(fields, columns[:, None, None], axis=-1)
     angles = jnp.arctan(cells * CELL_PX / FOCAL_PX)[:, None]

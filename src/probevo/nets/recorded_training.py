@@ -131,8 +131,8 @@ class TrainingRun:
             file=self.folder / f"network-{_digest([self.kind, *facts])}.safetensors",
             show=self._show_epochs,
         )
-        of_one_experiment = jax.tree.map(lambda array: array[0], trained.networks)
-        return trained._replace(networks=of_one_experiment)
+        networks = jax.tree.map(lambda array: array[0], trained.networks)
+        return trained._replace(networks=networks)
 
     def facts(self, trained: Learned) -> dict[str, Any]:
         """Return what the file of a network says of its training."""
@@ -279,19 +279,19 @@ def _read_all(
     counts: list[int],
     run: TrainingRun,
 ) -> list[Samples]:
-    """Return the samples of each recording, those of an earlier call included."""
+    """Return the samples of each recording, also of those that an earlier call read."""
     samples = []
     for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
         done = sum(counts[:number])
         # The name depends on all that the samples depend on.
         key = [task.kind, run.recordings[number], run.origins[number], task.extra]
         file = run.folder / f"samples-{_digest(key)}.npz"
-        found = read_samples(file, task.samples)
-        if found is None:
+        own_samples = read_samples(file, task.samples)
+        if own_samples is None:
             show = partial(_show_frames, run.on_progress, done, run.total)
-            found = task.read(sequence, count, show)
-            write_samples(file, found)
-        samples.append(found)
+            own_samples = task.read(sequence, count, show)
+            write_samples(file, own_samples)
+        samples.append(own_samples)
     return samples
 
 
@@ -344,7 +344,7 @@ def read_samples(path: Path, samples: type[Samples]) -> Samples | None:
 
 
 def _show_frames(on_progress: OnProgress, done: int, total: int, frames: int) -> None:
-    """Show how many frames are read: those of earlier recordings, and these."""
+    """Show how many frames are read, of earlier recordings and of this one."""
     on_progress(done + frames, total)
 
 

@@ -22,7 +22,7 @@ class RotationSensor:
 
     Args:
         network: the network.
-        camera: the camera of the images, which may be another one than that of the training.
+        camera: the camera of the images, which may be another one than in the training.
         name: by which the sensor is reported.
 
     Raises:
@@ -52,12 +52,12 @@ class RotationSensor:
             # A frozen image shows no motion, whatever the camera did.
             return NoMeasurement("repeated image")
         field = field_of_images(prev_frame.left, frame.left, self.camera)
-        found = self.network.estimate(field[None])
-        if is_beyond_domain(float(found.widening[0])):
+        estimates = self.network.estimate(field[None])
+        if is_beyond_domain(float(estimates.widening[0])):
             return NoMeasurement("out of its domain")
         measured = RelativeRotation(
-            Rotation.from_quat(found.q_curr_prev[0], scalar_first=True).as_matrix(),
-            found.covariance[0],
+            Rotation.from_quat(estimates.q_curr_prev[0], scalar_first=True).as_matrix(),
+            estimates.covariance[0],
             curr=pose_of(frame.index),
             prev=pose_of(prev_frame.index),
         )

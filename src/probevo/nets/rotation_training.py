@@ -107,11 +107,11 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
         np.concatenate([trunk_features(networks, fields) for fields, _ in copies]),
         trunk_features(networks, joined.fields),
     )
-    of_linear = linear_errors(fit, joined)
+    regression_errors = linear_errors(fit, joined)
     first = {
         **first_facts(KIND, method),
         "scale": 1.0,
-        "linear_error_deg": float(np.degrees(np.median(np.linalg.norm(of_linear, axis=1)))),
+        "linear_error_deg": float(np.degrees(np.median(np.linalg.norm(regression_errors, axis=1)))),
         **run.facts(trained),
     }
     return calibrated(RotationNetwork(networks, domain, first), left_out)
@@ -127,10 +127,10 @@ def linear_errors(fit: FieldFit, pairs: ImagePairs) -> FloatArray:
 
 def errors_of(network: RotationNetwork, pairs: ImagePairs) -> Claimed:
     """Return φ = Log(C_estimated C_trueᵀ), [N, 3], rad, and what was claimed."""
-    found = network.estimate(pairs.fields)
+    estimates = network.estimate(pairs.fields)
     q_true = jnp.asarray(_quaternions(pairs.rotations))
-    errors = SPACE.difference(jnp.asarray(found.q_curr_prev), q_true)
-    return Claimed(np.asarray(errors, np.float64), found.covariance, found.widening)
+    errors = SPACE.difference(jnp.asarray(estimates.q_curr_prev), q_true)
+    return Claimed(np.asarray(errors, np.float64), estimates.covariance, estimates.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:

@@ -49,7 +49,7 @@ class SunNetwork(TrainedNetwork):
         factor = float(self.facts["scale"]) * widening
         return SunEstimates(predicted.mean, factor[:, None, None] * predicted.covariance, widening)
 
-    def domain_features(self, inputs: FloatArray, of_trunk: FloatArray) -> FloatArray:
+    def domain_features(self, inputs: FloatArray, trunk_output: FloatArray) -> FloatArray:
         """Return statistics of the images, [N, 7].
 
         The trunk is made to see nothing but the sun: to it, night, fog and an even grey may look

@@ -28,7 +28,7 @@ class SunFromImages:
 
     Args:
         network: the network.
-        camera: the camera of the images, which may be another one than that of the training.
+        camera: the camera of the images, which may be another one than in the training.
         known: where the sun stands at a stamp in ns, [3]: in the world, which is the first camera,
             or with ``north`` in east, north and up, as ``sun_in_enu`` gives it.
         name: by which the sensor is reported.
@@ -61,9 +61,9 @@ class SunFromImages:
         Raises:
             InputError: a file cannot be read, or the camera is not one for it.
         """
-        in_world = read_sun(sequence.path)
+        sun_world = read_sun(sequence.path)
         network = SunNetwork.load(path)
-        return SunFromImages(network, sequence.camera, lambda _: in_world, name=path.stem)
+        return SunFromImages(network, sequence.camera, lambda _: sun_world, name=path.stem)
 
     def __call__(self, prev_frame: Frame, frame: Frame) -> list[Direction] | NoMeasurement:
         """Return the direction of the sun with its covariance, or why there is none."""
@@ -76,17 +76,17 @@ class SunFromImages:
         # none.
         if prev_frame.left is None or np.array_equal(prev_frame.left, frame.left):
             return NoMeasurement("repeated image")
-        found = self.network.estimate(sun_field(frame.left, self.camera)[None])
-        if is_beyond_domain(float(found.widening[0])):
+        estimates = self.network.estimate(sun_field(frame.left, self.camera)[None])
+        if is_beyond_domain(float(estimates.widening[0])):
             return NoMeasurement("out of its domain")
         # Errors of successive measurements are alike: each claims more, so that their sum is
         # consistent.
         correlated = float(self.network.facts["correlation"])
         measured = Direction(
             pose_of(frame.index),
-            found.directions[0],
+            estimates.directions[0],
             self.known(frame.stamp_ns),
-            correlated * found.covariance[0],
+            correlated * estimates.covariance[0],
             north=self.north,
         )
         return [measured]

@@ -53,13 +53,13 @@ class SunTargets:
         w = estimates[..., 2]
         # Parts of the estimate along the tangent vectors at p = (x, y, z), y down: (z, 0, −x)/level
         # of the azimuth, and (−y x/level, level, −y z/level) of the zenith angle.
-        of_azimuth = cosine * u - sine * w
-        of_zenith = -y * sine * u + level * v - y * cosine * w
-        across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + MIN_LENGTH)
+        azimuth_part = cosine * u - sine * w
+        zenith_part = -y * sine * u + level * v - y * cosine * w
+        across = jnp.sqrt(azimuth_part**2 + zenith_part**2 + MIN_LENGTH)
         along = u * x + v * y + w * z
         # Log: the angle between both, along the direction of the tangential part
         factor = jnp.arctan2(across, along) / across
-        return jnp.stack([factor * of_azimuth, factor * of_zenith], axis=-1)
+        return jnp.stack([factor * azimuth_part, factor * zenith_part], axis=-1)
 
     def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
         """Return the directions moved by errors along azimuth and zenith angle, to first order."""
@@ -93,9 +93,9 @@ class SunTargets:
         that to the second result has a derivative, but is zero.
         """
         chord_sq = self.squared(errors)
-        of_estimate = 0.5 * (chord_sq - jax.lax.stop_gradient(chord_sq)) / FIRST_SIGMA_RAD**2
+        estimate_loss = 0.5 * (chord_sq - jax.lax.stop_gradient(chord_sq)) / FIRST_SIGMA_RAD**2
         whitened, half_log_det = COVARIANCE.whiten(raw, jax.lax.stop_gradient(errors))
-        return whitened, half_log_det + of_estimate
+        return whitened, half_log_det + estimate_loss
 
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return Σ, [..., 2, 2], rad²."""

@@ -110,8 +110,10 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     )
     # Domain, facts, and calibration on what was left out.
     networks = trained.networks
-    of_copies = [(image_statistics(fields), directions) for fields, directions in copies]
-    statistics, directions = (np.concatenate(parts) for parts in zip(*of_copies, strict=True))
+    statistics_of_copies = [(image_statistics(fields), directions) for fields, directions in copies]
+    statistics, directions = (
+        np.concatenate(parts) for parts in zip(*statistics_of_copies, strict=True)
+    )
     domain = Domain.of(statistics, image_statistics(joined.fields))
     first = {
         **first_facts(KIND, method),
@@ -137,9 +139,9 @@ def _median_deg(vectors: FloatArray, directions: FloatArray) -> float:
 
 def errors_of(network: SunNetwork, views: SunViews) -> Claimed:
     """Return the errors along azimuth and zenith angle, [N, 2], rad, and what was claimed."""
-    found = network.estimate(views.fields)
-    errors = SPACE.difference(jnp.asarray(found.directions), jnp.asarray(views.directions))
-    return Claimed(np.asarray(errors, np.float64), found.covariance, found.widening)
+    estimates = network.estimate(views.fields)
+    errors = SPACE.difference(jnp.asarray(estimates.directions), jnp.asarray(views.directions))
+    return Claimed(np.asarray(errors, np.float64), estimates.covariance, estimates.widening)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -171,17 +173,17 @@ def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwor
         left_out: recordings that were not learned from.
     """
     claimed = [errors_of(network, views) for views in left_out]
-    found = calibration(claimed)
+    factors = calibration(claimed)
     errors = np.concatenate([each.errors for each in claimed])
-    covariances = found.scale_single * np.concatenate([each.covariances for each in claimed])
+    covariances = factors.scale_single * np.concatenate([each.covariances for each in claimed])
     angles = np.linalg.norm(errors, axis=1)
     facts = {
         **network.facts,
-        **found.facts(),
+        **factors.facts(),
         "nll": float(np.mean(negative_log_likelihoods(errors, covariances))),
-        "scale": found.scale_single,
+        "scale": factors.scale_single,
         # How much more blocks ask for once single errors are consistent
-        "correlation": max(found.scale_blocks / found.scale_single, 1.0),
+        "correlation": max(factors.scale_blocks / factors.scale_single, 1.0),
         "coverage_90": coverage(errors, covariances, 0.9),
         "error_deg": float(np.degrees(np.median(angles))),
     }

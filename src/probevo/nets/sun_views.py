@@ -40,9 +40,9 @@ class SunViews:
     """N images."""
 
     fields: FloatArray
-    """As ``sun_field`` gives them, [N, 4, rows, columns], float32."""
+    """Fields as ``sun_field`` gives them, [N, 4, rows, columns], float32."""
     directions: FloatArray
-    """Towards the sun in the camera, unit vectors, [N, 3]."""
+    """Directions towards the sun in the camera, unit vectors, [N, 3]."""
 
     def __len__(self) -> int:
         """Return N."""
@@ -53,13 +53,14 @@ def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
     """Return what a network sees of one image, [4, rows, columns], float32.
 
     The channels are means over cells of the virtual camera's image: the logarithm of the grey level
-    less its mean over the image, so that the exposure does not matter; that of the contrast within
-    the cell; and the gradients of the logarithm along x and y, which tell lit from shaded sides.
+    less its mean over the image, so that the exposure does not matter; the logarithm of the
+    contrast within the cell; and the gradients of the logarithm along x and y, which tell lit from
+    shaded sides.
 
     Raises:
-        InputError: the camera's field of view is smaller than that of the virtual one.
+        InputError: the camera's field of view is smaller than the virtual camera's.
     """
-    # In logarithms of grey levels, a factor of the exposure is an offset.
+    # A factor of the exposure is an offset in the logarithms of grey levels.
     levels = virtual_view(image, camera).astype(np.float32)
     logs = np.log(levels + MIN_LEVELS)
     mean = cell_means(levels)
@@ -106,7 +107,7 @@ def read_views(
         InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, a
             faulty frame, or no frame with a true pose.
     """
-    in_world = read_sun(sequence.path)
+    sun_world = read_sun(sequence.path)
     T_world_cam = true_poses(sequence)
     fields = []
     directions = []
@@ -120,7 +121,7 @@ def read_views(
         if np.isfinite(C_world_cam).all() and not is_repeated:
             fields.append(sun_field(frame.left, sequence.camera))
             # The sun is so far away that only the attitude of the camera counts.
-            directions.append(C_world_cam.T @ in_world)
+            directions.append(C_world_cam.T @ sun_world)
         if on_frame is not None:
             on_frame(frame.index + 1)
     if not fields:

@@ -57,22 +57,22 @@ class TrainedNetwork:
 
     def evaluate(self, space: TargetSpace, inputs: FloatArray) -> Evaluation:
         """Return what it makes of N inputs, [N, ...]."""
-        found, raw, features = _call(
+        estimated, raw, features = _call(
             self.method, space, self.networks, jnp.asarray(inputs, jnp.float32)
         )
         widening = self.domain.widening(
             self.domain_features(inputs, np.asarray(features, np.float64))
         )
-        return Evaluation(methods.prediction(space, found, raw), widening)
+        return Evaluation(methods.prediction(space, estimated, raw), widening)
 
-    def domain_features(self, inputs: FloatArray, of_trunk: FloatArray) -> FloatArray:
+    def domain_features(self, inputs: FloatArray, trunk_output: FloatArray) -> FloatArray:
         """Return the features by which the domain tells whether N inputs are like those learned.
 
         Args:
             inputs: [N, ...].
-            of_trunk: what the trunk makes of them, which is what is returned; [N, f].
+            trunk_output: what the trunk makes of them, which is what is returned; [N, f].
         """
-        return of_trunk
+        return trunk_output
 
     def save(self, path: Path) -> None:
         """Write it; the same network gives the same bytes.
@@ -94,7 +94,8 @@ def facts_of_kind(path: Path, kind: str, numbers: Collection[str] = ()) -> dict[
     Args:
         path: the file.
         kind: the kind.
-        numbers: the facts that this kind has beside those of all, each a finite number from 0 on.
+        numbers: the facts that this kind has besides the common ones, each a finite number from 0
+            on.
 
     Raises:
         InputError: the file cannot be read, is damaged, or holds something else.
@@ -229,7 +230,7 @@ def saliency(
     """Return how much the loss depends on each cell, [rows, columns]: |∂loss/∂field|.
 
     Channels are in units of their standard deviation over these data, and added up; the result is
-    the mean over the data. The loss is that of the first network, without dropout.
+    the mean over the data. The loss is the first network's, without dropout.
 
     Args:
         network: of fields.
@@ -245,8 +246,8 @@ def saliency(
     )
     # ∂loss/∂(field/σ_channel), [N, C, rows, columns]: summed over channels, averaged over data
     spread = fields.std(axis=(0, 2, 3))[:, None, None]
-    found: FloatArray = np.mean(np.sum(np.abs(gradients) * spread, axis=1), axis=0)
-    return np.asarray(found, np.float64)
+    mean_gradients: FloatArray = np.mean(np.sum(np.abs(gradients) * spread, axis=1), axis=0)
+    return np.asarray(mean_gradients, np.float64)
 
 
 def sensor_errors(
@@ -300,15 +301,15 @@ def _call(
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """Return estimates, outputs of the covariance head, and features."""
     # A fixed key: the same input always gives the same estimates, with dropout, too.
-    found, raw = methods.estimates(
+    estimated, raw = methods.estimates(
         method, space, networks, inputs, jax.random.key(0), same_dropout=True
     )
-    return found, raw, _features(networks, inputs)
+    return estimated, raw, _features(networks, inputs)
 
 
 @eqx.filter_jit
 def _features(networks: Network, inputs: jax.Array) -> jax.Array:
-    # Of an ensemble, the trunk of the first network stands for all.
+    # The trunk of the first network stands for all of an ensemble.
     first = jax.tree.map(lambda array: array[0], networks)
     features: jax.Array = jax.vmap(lambda one: first.trunk(one, None))(inputs)
     return features

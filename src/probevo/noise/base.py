@@ -49,9 +49,9 @@ class StereoNoise:
     added to ``scale``, whose errors are independent from frame to frame. None if there is none;
     only for noise that refers to observations."""
     prev_scale: FloatArray | None = None
-    """Scale matrix of the earlier observation y, [N, 4, 4], px², where it differs from that of the
-    current one y', which is then ``scale``. None means the same scale for both; only for noise that
-    refers to observations."""
+    """Scale matrix of the earlier observation y, [N, 4, 4], px², where it differs from
+    ``scale``, which then describes the current one y' alone. None means the same scale for both;
+    only for noise that refers to observations."""
     jitter_cov: FloatArray | None = None
     """Covariance S of the rig's jitter (pitch, yaw, roll) in each frame, [3, 3], rad²: an error
     that all features of a frame have in common (``camera.rig_jitter``). None for a rigid rig."""
@@ -113,7 +113,7 @@ class StereoNoise:
     def covariance_factor(self) -> FloatArray:
         """ν/(ν − 2), the covariance of each feature over its scale, [N].
 
-        It is infinite for ν ≤ 2, and that of ν = ``MIN_VARIANCE_DOF`` stands for it below that.
+        It is infinite for ν ≤ 2; below ``MIN_VARIANCE_DOF`` it is taken at that ν.
         """
         factor: FloatArray = 1.0 / (1.0 - 2.0 / np.maximum(self.dof, MIN_VARIANCE_DOF))
         return factor

@@ -17,7 +17,7 @@ class Fixed:
     """Gaussian noise with one covariance R for every observation (PROBE Table I, nominal).
 
     Args:
-        covariance: R, of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked corners.
+        covariance: R, of (u_l, v_l, u_r, v_r), [4, 4], px²; by default as for tracked corners.
     """
 
     columns: tuple[str, ...] = ()

@@ -106,7 +106,7 @@ class Metric:
         may_be_undefined: tuple[bool, ...],
         arrays: Mapping[str, AnyArray],
     ) -> Metric:
-        """Return the metric whose ``arrays`` are among those of a file."""
+        """Return the metric whose ``arrays`` are among the arrays of a file."""
         return Metric(
             columns=columns,
             may_be_undefined=may_be_undefined,

@@ -1,7 +1,7 @@
 """Mean and standard deviation of the columns of a prediction space, accumulated part by part.
 
-The moments of two parts combine exactly into those of the whole, so that no part of the training
-data has to be held in memory for the next.
+The moments of two parts combine exactly into the moments of the whole. Hence no part of the
+training data has to be held in memory for the next.
 """
 
 from __future__ import annotations

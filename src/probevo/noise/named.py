@@ -36,12 +36,12 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
 def check_model_camera(
     spec: str, model: NoiseModel, camera: StereoCamera, *, or_else: str = ""
 ) -> None:
-    """Refuse a camera unlike that of the model's training, in an error that names the model file.
+    """Refuse a camera unlike the training's, in an error that names the model file.
 
     Args:
         spec: what the user named the model by.
         model: the model.
-        camera: that of the recording.
+        camera: the camera of the recording.
         or_else: what else is a cure, as a sentence.
 
     Raises:
@@ -56,7 +56,7 @@ def check_model_camera(
 
 
 def other_camera(model: NoiseModel, camera: StereoCamera) -> str | None:
-    """Return in what a camera differs from that of a model's training; None if it does not."""
+    """Return in what a camera differs from the one of a model's training; None if it does not."""
     try:
         model.check_camera(camera)
     except InputError as error:

@@ -117,7 +117,7 @@ def learned_from(model: NoiseModel) -> frozenset[str]:
 
 
 def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:
-    """Refuse a camera unlike ``trained``, that of the training; None accepts any.
+    """Refuse a camera unlike ``trained``, the camera of the training; None accepts any.
 
     Raises:
         InputError: the cameras differ; the message says in what.

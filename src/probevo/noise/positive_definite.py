@@ -11,6 +11,6 @@ def is_positive_definite(array: AnyArray, size: int) -> bool:
     """Return whether an array is a symmetric positive definite matrix [size, size] of float64."""
     if array.shape != (size, size) or array.dtype != np.float64 or not np.isfinite(array).all():
         return False
-    # The eigenvalues are those of the lower triangle alone, so that symmetry is checked by itself.
+    # The eigenvalues are computed from the lower triangle alone, so symmetry is checked by itself.
     is_symmetric = np.allclose(array, array.T, rtol=1e-9, atol=0.0)
     return is_symmetric and bool(np.linalg.eigvalsh(array)[0] > 0.0)

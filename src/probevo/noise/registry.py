@@ -84,7 +84,7 @@ _BUILT_IN = (
 
 
 def noise_kinds() -> Mapping[str, NoiseKind]:
-    """Return all kinds by name: the built-in ones, then those of installed entry points.
+    """Return all kinds by name: the built-in ones, then the ones of installed entry points.
 
     Raises:
         InputError: an entry point cannot be loaded, is no ``NoiseKind``, or its name is taken.

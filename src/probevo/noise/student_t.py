@@ -40,15 +40,15 @@ class StudentT:
 
     Args:
         dof: degrees of freedom ν. Small values trust outliers less; np.inf is Gaussian.
-        scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked
+        scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px²; by default as for tracked
             corners.
         refers_to: whether the scale describes an observation or the residual.
         camera: camera of the training data; None if the model was not trained.
         training: settings, recordings and progress of the training, in plain values that JSON can
             hold.
         time_correlation_ratio: standard deviation of the disparity error that is common to both
-            frames, over that of the one that is independent in each. By default 0 for a scale that
-            is given or fitted. Noise that refers to the residual has none.
+            frames, over that of the error that is independent in each. By default 0 for a scale
+            that is given or fitted. Noise that refers to the residual has none.
         jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
             is not known. ``fit`` does not estimate it.
         scale_is_relative: whether the size of the errors differs from recording to recording, and
@@ -136,7 +136,7 @@ class StudentT:
         )
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """Refuse a camera unlike that of the training; an untrained model accepts any.
+        """Refuse a camera unlike the training's; an untrained model accepts any.
 
         Raises:
             InputError: the cameras differ; the message says in what.

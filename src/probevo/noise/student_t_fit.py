@@ -84,7 +84,8 @@ def fit_student_ts(
         dof_counts=float(prior.dof_counts),
         bias_counts=float(prior.bias_counts),
     )
-    # As published there is nothing to iterate: without weights, one M-step is the posterior mean.
+    # The published variant has nothing to iterate: without weights, one M-step is the posterior
+    # mean.
     fit_all(
         samples,
         near,
@@ -147,7 +148,7 @@ def check_errors(errors: FloatArray, error_cov: FloatArray | None = None) -> Non
         row = int(np.argwhere(~valid)[0, 0])
         raise InputError(
             "residuals",
-            f"that of feature {row} (from 0) is {errors[row]}.",
+            f"the residual of feature {row} (from 0) is {errors[row]}.",
             "Leave out what is unknown.",
         )
     if error_cov is None:

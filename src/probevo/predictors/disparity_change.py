@@ -1,4 +1,4 @@
-"""The deviation of a feature's disparity from that of the predicted motion."""
+"""The deviation of a feature's disparity from what the predicted motion makes of it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def disparity_change(
     predicted_T_curr_prev: FloatArray,
     camera: StereoCamera,
 ) -> FloatArray:
-    """Compute ln(1 + |d − d̂|/px), d the disparity, d̂ that of the predicted motion. Ours.
+    """Compute ln(1 + |d − d̂|/px), d the disparity, d̂ the one after the predicted motion. Ours.
 
     Disparity does not change with small rotations, and an error of the predicted speed hardly shows
     in it. Hence the predicted motion needs no correction here, unlike in ``residual_flow``. The
-    predictor shows oncoming cars, whose flow is like that of nearer things, and stereo matches
-    that jump.
+    predictor shows oncoming cars, whose flow looks like the flow of nearer things, and stereo
+    matches that jump.
 
     Args:
         prev_px: features in the previous frame, [N, 4], px.

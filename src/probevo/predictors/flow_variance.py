@@ -67,7 +67,7 @@ def flow_variance(
     large = np.empty(len(uv))
     _fill_variances(sorted_flow, small_px, small)
     _fill_variances(sorted_flow, large_px, large)
-    # Back from the order of u to that of the features
+    # Back from the order of u to the order of the features
     values = np.empty(len(uv))
     values[order] = np.log(np.maximum(small, FLOOR_PX2) / np.maximum(large, FLOOR_PX2))
     return values

@@ -74,9 +74,8 @@ def _fill_frequency(image: Image, uv: FloatArray, waves: FloatArray, values: Flo
             # Transform along u, then along v, at the frequencies of the two bands only
             np.dot(patch, waves_u, along_u)
             np.dot(waves, along_u, spectrum)
-            # The rows and columns of ``spectrum`` are those of ``waves``: cos low, sin low, cos
-            # high, sin high. Of F₀₀, the real part is [0, 0]; the other three parts have a sine of
-            # zero.
+            # The rows and columns of ``spectrum`` follow ``waves``: cos low, sin low, cos high, sin
+            # high. The real part of F₀₀ is [0, 0]; the other three parts have a sine of zero.
             spectrum[0, 0] = 0.0  # brightness is no texture
             values[n, 0] = _log_sum(spectrum, 0) / (BAND * BAND - 1)
             values[n, 1] = _log_sum(spectrum, 2 * BAND) / (BAND * BAND)

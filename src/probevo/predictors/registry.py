@@ -1,4 +1,4 @@
-"""The registry of predictors: the built-in ones, and those of other installed packages.
+"""The registry of predictors: the built-in ones, and the ones that other installed packages add.
 
 A built-in predictor is listed here, once. Another package offers its own by an entry point in the
 group ``probevo.predictors`` that names a ``Predictor``; CONTRIBUTING.md shows how.
@@ -65,25 +65,25 @@ PREDICTORS: Mapping[str, Predictor] = {predictor.name: predictor for predictor i
 
 
 def all_predictors() -> Mapping[str, Predictor]:
-    """Collect the built-in predictors and those of installed entry points, by their names.
+    """Collect the built-in predictors and the ones of installed entry points, by their names.
 
     Raises:
         InputError: an entry point cannot be loaded, or yields no predictor, or one whose name or
             column is taken.
     """
-    found = dict(PREDICTORS)
+    predictors = dict(PREDICTORS)
     columns = {column for predictor in PREDICTORS.values() for column in predictor.columns}
     for entry in entry_points(group=ENTRY_POINTS):
         predictor = load_entry(entry, Predictor)
-        if predictor.name in found or not columns.isdisjoint(predictor.columns):
+        if predictor.name in predictors or not columns.isdisjoint(predictor.columns):
             raise InputError(
                 entry_text(entry),
                 f"the name of the predictor {predictor.name}, or of a column of it, is taken.",
                 "Give it other names, or uninstall its package.",
             )
-        found[predictor.name] = predictor
+        predictors[predictor.name] = predictor
         columns |= set(predictor.columns)
-    return found
+    return predictors
 
 
 def prediction_space(names: Sequence[str]) -> PredictionSpace:
@@ -110,7 +110,7 @@ def space_for(columns: Sequence[str], given: PredictionSpace | None = None) -> P
     columns takes any space.
 
     Args:
-        columns: those of a noise model.
+        columns: the columns of a noise model.
         given: the space that the user wants, such as one with predictors of their own.
 
     Raises:

@@ -12,7 +12,7 @@ from probevo.predictors.base import Needs, Predictor
 def turn_rate(predicted_T_curr_prev: FloatArray, duration_s: float) -> FloatArray:
     """Compute the angular rate ω = −Log(C_curr_prev)/Δt of the predicted motion, and ‖ω‖.
 
-    This is the gyro's rate less its bias, or that of the previous motion where there is no gyro.
+    This is the gyro's rate less its bias or, without a gyro, the rate of the previous motion.
     PROBE has the magnitude alone. About x it is positive when the camera pitches up, about y when
     it turns right, about z when it rolls clockwise.
 

@@ -21,7 +21,7 @@ def velocity(predicted_T_curr_prev: FloatArray, duration_s: float) -> FloatArray
     Returns:
         (v_x, v_y, v_z), [3], m/s, the same for all features of a step; always defined.
     """
-    # Of ξ = [ρ; φ], the first three are the translational part of the twist, not the translation.
+    # The first three of ξ = [ρ; φ] are the translational part of the twist, not the translation.
     v: FloatArray = -se3.log(predicted_T_curr_prev)[:3] / duration_s
     return v
 

@@ -17,12 +17,13 @@ vehicle drives 2 cm in this time."""
 
 
 SIMULATED_RATE_HZ = 10.0
-"""Of rendered data sets whose files have no times: TartanAir 2 was sampled at this rate, and the
-drives that Virtual KITTI imitates were recorded at it."""
+"""Frame rate of rendered data sets whose files have no times: TartanAir 2 was sampled at this rate,
+and the drives that Virtual KITTI imitates were recorded at it."""
 
 
 KITTI_FLOW_RATE_HZ = 10.0
-"""Of the scenes of KITTI 2012 and 2015, which have no times; KITTI's cameras run at about this."""
+"""Frame rate of the scenes of KITTI 2012 and 2015, which have no times; KITTI's cameras run at
+about this."""
 
 
 LEAST_RATE_HZ = 0.001
@@ -107,7 +108,7 @@ class EurocOptions(PairOptions):
 
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-"""Of ROS 1, and of the two storages of ROS 2."""
+"""Endings of the bags of ROS 1, and of the two storages of ROS 2."""
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 
 

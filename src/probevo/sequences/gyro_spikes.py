@@ -18,7 +18,7 @@ MIN_SAMPLES = 5
 
 
 def find_spikes(rates_rad_s: FloatArray) -> BoolArray:
-    """Tell which samples of an interval are spikes, such as those of a bit that was lost.
+    """Tell which samples of an interval are spikes, such as a lost bit makes.
 
     A sample is compared with the mean of its two neighbours, the first and the last one with the
     line through the two samples beside it.

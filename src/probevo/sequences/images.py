@@ -138,7 +138,7 @@ def range_of_files(left_files: list[Path], right_files: list[Path]) -> GrayRange
 
 
 def _readable(files: list[Path]) -> Iterator[AnyArray]:
-    """Yield those of some images that are neither missing nor damaged, as grayscale."""
+    """Yield the images that are neither missing nor damaged, as grayscale."""
     for file in files:
         with suppress(InputError):
             yield read_gray_of_any_depth(file)

@@ -29,7 +29,7 @@ DENSITIES = (
 )
 """The noise figures among the fields."""
 MAX_NOISE = 1e6
-"""Largest noise figure, in any of their units; it would be that of no sensor."""
+"""Largest noise figure, in any of their units; no sensor has it."""
 MAX_OFFSET_S = 4e9
 """Largest time offset: from 1900 to now, and stamps in ns that are shifted by it fit in 64 bits."""
 

@@ -206,13 +206,13 @@ def _files(folder: Path, sequence: Sequence, *, is_right: bool) -> tuple[Path, .
     """
     files = list_images(folder)
     if isinstance(sequence, StereoRecording):
-        by_name = {file.stem: file for file in files}
+        file_by_stem = {file.stem: file for file in files}
         images = sequence.right_files if is_right else sequence.left_files
-        missing = [image.name for image in images if image.stem not in by_name]
+        missing = [image.name for image in images if image.stem not in file_by_stem]
         if missing:
             what = f"the mask of {missing[0]} is missing ({len(missing)} of {len(images)} are)."
             raise InputError(folder, what, "Give one of each image, of the same name.")
-        return tuple(by_name[image.stem] for image in images)
+        return tuple(file_by_stem[image.stem] for image in images)
     if len(files) != len(sequence):
         what = f"it holds {len(files)} masks; the recording has {len(sequence)} frames."
         raise InputError(folder, what, "Give one of each frame, in their order.")
@@ -234,14 +234,14 @@ def _black_and_white(mask: Image) -> Image:
     return np.where(mask >= WHITE, 255, 0).astype(np.uint8)
 
 
-def _both(one: Image | BoolArray | None, other: Image | None) -> Image | BoolArray | None:
-    """Return the mask of where features are wanted by two; None is that of everywhere."""
-    if one is None:
-        return other
-    if other is None:
-        return one
-    by_one = one if one.dtype == np.bool_ else one >= WHITE
-    return np.where(by_one & (other >= WHITE), 255, 0).astype(np.uint8)
+def _both(first: Image | BoolArray | None, second: Image | None) -> Image | BoolArray | None:
+    """Return the mask of where features are wanted by both; None means everywhere."""
+    if first is None:
+        return second
+    if second is None:
+        return first
+    is_wanted = first if first.dtype == np.bool_ else first >= WHITE
+    return np.where(is_wanted & (second >= WHITE), 255, 0).astype(np.uint8)
 
 
 def _of(masks: Masks | None, index: int) -> Image | None:

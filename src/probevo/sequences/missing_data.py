@@ -25,11 +25,11 @@ class MissingData:
 
     defect: Defect
     count: int
-    """Number that have the defect."""
-    of: int
-    """Number in all."""
+    """Number of samples, features or frames that have the defect."""
+    total: int
+    """Number of all samples, features or frames."""
 
     def __str__(self) -> str:
         """Return such as ``3 of 20 IMU samples without a finite angular rate``."""
         words = self.defect.value.replace("_", " ").replace("imu", "IMU")
-        return f"{self.count} of {self.of} {words}"
+        return f"{self.count} of {self.total} {words}"

@@ -118,8 +118,8 @@ def _unfilter(rows: AnyArray, image: Image) -> bool:
 @compiled
 def _paeth(left: int, upper: int, upper_left: int) -> int:
     """Return the neighbour nearest to left + upper − upper_left (Paeth's predictor)."""
-    by_left = abs(upper - upper_left)
-    by_upper = abs(left - upper_left)
-    by_both = abs(left + upper - 2 * upper_left)
-    nearest = upper if by_upper <= by_both else upper_left
-    return left if by_left <= min(by_upper, by_both) else nearest
+    left_distance = abs(upper - upper_left)
+    upper_distance = abs(left - upper_left)
+    upper_left_distance = abs(left + upper - 2 * upper_left)
+    nearest = upper if upper_distance <= upper_left_distance else upper_left
+    return left if left_distance <= min(upper_distance, upper_left_distance) else nearest

@@ -49,7 +49,7 @@ def read_kitti_truth(
         path: the file.
         stamps_ns: of the frames, [K], ns.
         image_names: names of their images, without suffix. Where these are numbers, a file with
-            more poses than frames is that of a longer recording, and a frame has the pose of its
+            more poses than frames belongs to a longer recording, and a frame has the pose of its
             number.
 
     Raises:

@@ -62,7 +62,7 @@ def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> Groun
     return GroundTruth(stamps_ns, se3.inverse(T_any_cam[np.argmin(unknown)]) @ T_any_cam)
 
 
-def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> FloatArray:
+def interpolate_poses(stamps_ns: IntArray, T: FloatArray, times_ns: IntArray) -> FloatArray:
     """Interpolate poses to other times.
 
     Between two poses, the rotation has a constant rate and the position moves linearly. Beyond the
@@ -72,18 +72,18 @@ def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> Fl
     Args:
         stamps_ns: time of each pose, [M], ascending.
         T: the poses, [M, 4, 4].
-        at_ns: times to interpolate to, [K].
+        times_ns: times to interpolate to, [K].
 
     Returns:
         Poses, [K, 4, 4].
     """
     # Index of the pose before each time, and of the pose after it.
     start = np.clip(
-        np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, max(len(stamps_ns) - 2, 0)
+        np.searchsorted(stamps_ns, times_ns, side="right") - 1, 0, max(len(stamps_ns) - 2, 0)
     )
     end = np.minimum(start + 1, len(stamps_ns) - 1)
     gap_ns = stamps_ns[end] - stamps_ns[start]
-    fraction = ((at_ns - stamps_ns[start]) / np.maximum(gap_ns, 1))[:, None]
+    fraction = ((times_ns - stamps_ns[start]) / np.maximum(gap_ns, 1))[:, None]
 
     C_start = T[start][:, :3, :3]
     t_start = T[start][:, :3, 3]
@@ -91,9 +91,9 @@ def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> Fl
     C = C_start @ so3.exp(fraction * rotation_rad)
     poses = se3.from_parts(C, t_start + fraction * (T[end][:, :3, 3] - t_start))
 
-    is_at_pose = (at_ns == stamps_ns[start]) | (at_ns == stamps_ns[end])
+    is_at_pose = (times_ns == stamps_ns[start]) | (times_ns == stamps_ns[end])
     is_in_gap = (gap_ns > MAX_GAP_NS) & ~is_at_pose
-    beyond_ns = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1])
+    beyond_ns = np.maximum(stamps_ns[0] - times_ns, times_ns - stamps_ns[-1])
     is_beyond = beyond_ns > np.minimum(gap_ns // 2, MAX_EXTRAPOLATION_NS)
     poses[is_in_gap | is_beyond] = np.nan
     return poses

@@ -37,7 +37,7 @@ def recordings_below(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
             ``.npz`` file may be anything.
     """
     likely = [known for known in formats if known.folder_signs]
-    found: list[Path] = []
+    recordings: list[Path] = []
     level = [path]
     looked_at = 0
     for _ in range(DEEPEST):
@@ -45,13 +45,13 @@ def recordings_below(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
         for entry in (entry for folder in level for entry in _entries(folder)):
             looked_at += 1
             if looked_at > MAX_LOOKED_AT:
-                return found
+                return recordings
             if any(known.recognises(entry) for known in likely):
-                found.append(entry)
+                recordings.append(entry)
             elif entry.is_dir():
                 following.append(entry)
         level = following
-    return found
+    return recordings
 
 
 def recordings_above(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
@@ -75,12 +75,12 @@ def _as_given(folder: Path, path: Path) -> Path:
     return next((above for above in path.parents if above.absolute() == folder), folder)
 
 
-def suggestion(found: list[Path]) -> str:
+def suggestion(recordings: list[Path]) -> str:
     """Return what a message says of the recordings near a folder."""
-    if len(found) == 1:
-        return f"Did you mean {found[0]}?"
-    names = ", ".join(str(path) for path in found[:MAX_NAMED])
-    more = len(found) - MAX_NAMED
+    if len(recordings) == 1:
+        return f"Did you mean {recordings[0]}?"
+    names = ", ".join(str(path) for path in recordings[:MAX_NAMED])
+    more = len(recordings) - MAX_NAMED
     return f"Did you mean one of {names}{f' and {more} more below it' if more > 0 else ''}?"
 
 

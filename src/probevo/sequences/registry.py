@@ -96,8 +96,8 @@ class SequenceFormat:
         if is_usable or not (self.folder_signs or self.file_suffixes):
             return
         needed = "a folder" if self.folder_signs else f"an {' or '.join(self.file_suffixes)} file"
-        found = "a folder" if path.is_dir() else "a file"
-        raise InputError(path, f"the format {self.name} needs {needed}, but this is {found}.")
+        given = "a folder" if path.is_dir() else "a file"
+        raise InputError(path, f"the format {self.name} needs {needed}, but this is {given}.")
 
     def validated(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the values of all options, defaults included.
@@ -133,7 +133,7 @@ class SequenceFormat:
 
 
 def _flag(name: str) -> str:
-    """Return the flag of an option; those of the topics of a bag are a group of their own."""
+    """Return the flag of an option; the topics of a bag are a group of their own."""
     group = "topics_"
     grouped = f"topics.{name.removeprefix(group)}" if name.startswith(group) else name
     return f"--{grouped.replace('_', '-')}"
@@ -298,14 +298,14 @@ def _loaded(entry: EntryPoint) -> SequenceFormat:
     Raises:
         InputError: it cannot be loaded, or is no ``SequenceFormat`` of that name.
     """
-    found = load_entry(entry, SequenceFormat)
-    if found.name != entry.name:
+    loaded = load_entry(entry, SequenceFormat)
+    if loaded.name != entry.name:
         raise InputError(
             entry_text(entry),
-            f"its format is called {found.name!r}, not {entry.name!r}.",
+            f"its format is called {loaded.name!r}, not {entry.name!r}.",
             "Update or uninstall the package that provides it.",
         )
-    return found
+    return loaded
 
 
 def open_sequence(
@@ -396,7 +396,7 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     above = recordings_above(path, formats.values())
     if above:
         raise InputError(path, "this folder is part of a recording.", suggestion(above))
-    found = sorted(entry.name for entry in path.iterdir())[:MAX_NAMES]
+    names = sorted(entry.name for entry in path.iterdir())[:MAX_NAMES]
     looked_for = [
         f"{' or '.join(_signs_in_words(known))} ({known.name})"
         for known in formats.values()
@@ -404,7 +404,7 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     ]
     raise InputError(
         path,
-        f"no known format; found {', '.join(found)}." if found else "this folder is empty.",
+        f"no known format; found {', '.join(names)}." if names else "this folder is empty.",
         f"Looked for {'; '.join(looked_for)}.",
     )
 

@@ -20,7 +20,7 @@ class StampPairs:
     right: IntArray
     """Index of each frame's right image, [K]."""
     offsets_ns: IntArray
-    """Stamp of the right image minus that of the left one, [K]."""
+    """Stamp of the right image minus the left one's, [K]."""
 
     def __len__(self) -> int:
         """Return the number of frames, K."""

@@ -26,7 +26,7 @@ MAX_EXPONENT = 9
 hold, 9.2e9 s."""
 
 RATE_TOLERANCE = 0.1
-"""Relative difference of a rate that a user gives from that of the stamps: a nominal rate and a
+"""Relative difference of a rate that a user gives from the stamps' rate: a nominal rate and a
 cheap clock differ by less, a wrong rate by more."""
 GAP_FACTOR = 1.5
 """An interval longer than this many median ones is a gap."""
@@ -80,30 +80,32 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
 
     A stamp is the number at the end of the name: Unix time in seconds, of 10 digits, with decimals,
     or as a whole number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files. A number
-    that begins with 0 is that of a frame, and one of other digits may be a date.
+    that begins with 0 is a frame's, and one of other digits may be a date.
 
     Raises:
         InputError: decimals may be fractions of a second, or nanoseconds without leading zeros.
     """
     numbers = [NAME_STAMP.search(file.stem) for file in files]
-    found = [number for number in numbers if number is not None]
-    if not found or len(found) < len(files):
+    matches = [number for number in numbers if number is not None]
+    if not matches or len(matches) < len(files):
         return None
-    num_digits = {len(number["whole"]) for number in found}
-    has_decimals = {number["decimals"] is not None for number in found}
+    num_digits = {len(number["whole"]) for number in matches}
+    has_decimals = {number["decimals"] is not None for number in matches}
     if len(num_digits) > 1 or len(has_decimals) > 1:
         return None
-    if any(number["whole"].startswith("0") for number in found):
+    if any(number["whole"].startswith("0") for number in matches):
         return None
     if has_decimals == {True}:
         if num_digits != {SECONDS_DIGITS}:
             return None
-        _check_decimals(files, found)
-        return np.array([round(Decimal(number[0]) * NS_PER_S) for number in found], dtype=np.int64)
+        _check_decimals(files, matches)
+        return np.array(
+            [round(Decimal(number[0]) * NS_PER_S) for number in matches], dtype=np.int64
+        )
     unit_ns = NS_OF_DIGITS.get(num_digits.pop())
     if unit_ns is None:
         return None
-    return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
+    return np.array([int(number["whole"]) * unit_ns for number in matches], dtype=np.int64)
 
 
 def _check_decimals(files: list[Path], stamps: list[re.Match[str]]) -> None:
@@ -178,12 +180,12 @@ def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path) -> None:
     median_s = float(np.median(intervals_s))
     longest = int(np.argmax(intervals_s))
     if abs(rate_hz * median_s - 1.0) > RATE_TOLERANCE:
-        found = f"are {median_s:.4g} s apart ({1.0 / median_s:.4g} Hz)"
+        fault = f"are {median_s:.4g} s apart ({1.0 / median_s:.4g} Hz)"
     elif intervals_s[longest] > GAP_FACTOR * median_s:
-        found = f"have a gap of {intervals_s[longest]:.3f} s after frame {longest}"
+        fault = f"have a gap of {intervals_s[longest]:.3f} s after frame {longest}"
     else:
         return
-    what = f"the rate of {rate_hz:g} Hz contradicts the stamps in the file names, which {found}."
+    what = f"the rate of {rate_hz:g} Hz contradicts the stamps in the file names, which {fault}."
     cure = "Leave out --rate-hz. If the names are no stamps, give the times in a times.txt."
     raise InputError(where, what, cure)
 

@@ -1,4 +1,4 @@
-"""Compensation of other exposures: the contrast of one image is adapted to that of the other.
+"""Compensation of other exposures: the contrast of one image is adapted to another image.
 
 Lucas–Kanade assumes that a point looks the same in both images. The high-pass filter removes an
 offset of the grey levels, but not a gain. After an exposure jump, or where both cameras are exposed
@@ -29,7 +29,7 @@ CELL_PX = 64
 MIN_CELL_PX = 4
 """Smallest side of a cell in the coarsest level of a pyramid, px."""
 MAX_GAIN = 8.0
-"""At a larger ratio, one of the two images is practically black or white."""
+"""Largest gain; beyond it, one of the two images is practically black or white."""
 
 
 def with_contrast_of(template: Pyramid, image: Pyramid, *, least_gain: float = MIN_GAIN) -> Pyramid:
@@ -45,12 +45,12 @@ def with_contrast_of(template: Pyramid, image: Pyramid, *, least_gain: float = M
     """
     if not template:
         return template
-    of_image = _cells(image)
-    of_template = _cells(template)
-    gain = _gain(of_template, of_image)
+    image_cells = _cells(image)
+    template_cells = _cells(template)
+    gain = _gain(template_cells, image_cells)
     if not least_gain < symmetric_gain(gain) < MAX_GAIN:
         return template
-    offset = float(np.median(of_image.mean - gain * of_template.mean))
+    offset = float(np.median(image_cells.mean - gain * template_cells.mean))
     return tuple(
         np.asarray(cv2.addWeighted(level, gain, level, 0.0, offset), dtype=np.uint8)
         for level in template
@@ -63,7 +63,7 @@ def symmetric_gain(gain: float) -> float:
 
 
 def contrast_ratio(template: Pyramid, image: Pyramid) -> float:
-    """Return the contrast of the image over that of the template; NaN if one of them has none."""
+    """Return the contrast of the image over the template's; NaN if one of them has none."""
     return _gain(_cells(template), _cells(image))
 
 
@@ -71,9 +71,9 @@ class _Cells(NamedTuple):
     """Grey levels of an image, cell by cell."""
 
     mean: FloatArray
-    """[N]."""
+    """Mean grey level of each cell, [N]."""
     contrast: FloatArray
-    """Their standard deviation, [N]."""
+    """Standard deviation of the grey levels in each cell, [N]."""
 
 
 def _cells(pyramid: Pyramid) -> _Cells:
@@ -91,7 +91,7 @@ def _cells(pyramid: Pyramid) -> _Cells:
 
 def _mean_of_cells(values: NDArray[np.float32], columns: int, rows: int) -> FloatArray:
     """Return the mean of an image over each cell, [columns rows]."""
-    # By whole factors, INTER_AREA is the mean over a cell.
+    # INTER_AREA with whole factors is the mean over a cell.
     means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
     return means.ravel().astype(np.float64)
 

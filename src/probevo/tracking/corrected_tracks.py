@@ -17,14 +17,14 @@ class CorrectedTracks:
     """The tracks of a step, raw and corrected, and the calibration updated by their rows."""
 
     raw: Tracks
-    """As tracked."""
+    """The tracks as the tracker found them."""
     prior_rig: RigCalibration | None
     """The calibration before this frame; None without self-calibration."""
     simultaneous: Tracks
-    """With all places moved to the times of their frames: the exposure delay of the right camera
-    and the readout of the rows are removed, and nothing else."""
+    """The tracks with all places moved to the times of their frames: the exposure delay of the
+    right camera and the readout of the rows are removed, and nothing else."""
     tracks: Tracks
-    """Corrected by all of the calibration."""
+    """The tracks corrected by all of the calibration."""
     rig: RigCalibration | None
     """The calibration, its row offsets updated by this frame's stereo matches."""
     delay_s: float
@@ -103,9 +103,9 @@ def _at_times_of_frames(
 
     def moved(pixels: FloatArray, twist: FloatArray) -> FloatArray:
         """Return the observations of one frame, [N, 4], px, under the velocity there."""
-        of_one_time = without_delay(pixels, rig.delay.delay_s, twist, camera)
+        without_delay_px = without_delay(pixels, rig.delay.delay_s, twist, camera)
         return without_readout(
-            of_one_time, rig.image.readout_s, twist, camera, acceleration=twists.acceleration
+            without_delay_px, rig.image.readout_s, twist, camera, acceleration=twists.acceleration
         )
 
     curr_px = moved(raw.curr_px, twists.curr)

@@ -74,7 +74,7 @@ def corners_in_free_cells(
 def non_overlapping(
     pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig
 ) -> BoolArray:
-    """Find the features whose window does not overlap by half with that of an earlier one kept.
+    """Find the features whose window does not overlap by half with one that was kept before.
 
     The errors of two features that share most of their window are equal. Counted as two, they
     would make the covariance of the motion too small.

@@ -99,14 +99,14 @@ def _strength_bound(image: Image) -> Image:
     center = shifted(0, 0)
     brighter = np.full(center.shape, 255, np.uint8)
     darker = np.zeros(center.shape, np.uint8)
-    of_two = np.empty_like(brighter)
-    # Of each facing pair, at least the larger (smaller) pixel must differ by the strength
+    extreme_of_pair = np.empty_like(brighter)
+    # At least the larger (smaller) pixel of each facing pair must differ by the strength.
     for du, dv in HALF_RING[::2]:
-        one = shifted(du, dv)
+        pixel = shifted(du, dv)
         facing = shifted(-du, -dv)
-        cv2.min(brighter, cv2.max(one, facing, dst=of_two), dst=brighter)
-        cv2.max(darker, cv2.min(one, facing, dst=of_two), dst=darker)
-    # By how much the nine are brighter, or darker, than the centre; negative bytes become 0.
+        cv2.min(brighter, cv2.max(pixel, facing, dst=extreme_of_pair), dst=brighter)
+        cv2.max(darker, cv2.min(pixel, facing, dst=extreme_of_pair), dst=darker)
+    # How much the nine are brighter, or darker, than the centre; negative bytes become 0.
     cv2.subtract(brighter, center, dst=brighter)
     cv2.subtract(center, darker, dst=darker)
-    return np.asarray(cv2.max(brighter, darker, dst=of_two), dtype=np.uint8)
+    return np.asarray(cv2.max(brighter, darker, dst=extreme_of_pair), dtype=np.uint8)

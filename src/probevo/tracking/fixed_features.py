@@ -1,4 +1,4 @@
-"""Features that stay where they are in both images while the camera moves: those of the rig.
+"""Features of the rig itself: they stay where they are in both images while the camera moves.
 
 A hood, a bumper, an arm, or a logo in the images looks like a scene at rest. The motion that the
 other features agree on tells which do not belong to the scene. Where the odometry takes them for
@@ -50,10 +50,11 @@ class StepsAtRest(NamedTuple):
     num_at_rest: int
     """Number of steps that shift half of their features by no more than ``STILL_PX``."""
     num_features: int
-    """Features of the latter, summed."""
+    """Sum of the features of the steps at rest."""
     num_passing: int
-    """Those of them that moved by ``MIN_SHIFT_PX`` at least, as the scene does before a part of
-    the vehicle that holds the path at rest, or traffic before a camera at rest."""
+    """Sum of those features of the steps at rest that moved by ``MIN_SHIFT_PX`` at least, as the
+    scene does before a part of the vehicle that holds the path at rest, or traffic before a camera
+    at rest."""
 
 
 class FixedFeatureCount:
@@ -77,9 +78,9 @@ class FixedFeatureCount:
         """Take the tracks of a step and its motion.
 
         Args:
-            tracks: those that may be of the scene.
+            tracks: the tracks that may belong to the scene.
             T_curr_prev: the motion, [4, 4], m.
-            of_vehicle: those that are known to be fixed to the vehicle; None for none.
+            of_vehicle: the tracks known to be fixed to the vehicle; None for none.
         """
         if of_vehicle is not None:
             self._count_fixed(of_vehicle, shifts_px(of_vehicle, T_curr_prev, self._camera))
@@ -99,7 +100,7 @@ class FixedFeatureCount:
         )
 
     def _count_fixed(self, tracks: Tracks, shift_px: FloatArray) -> None:
-        """Count those of N tracks that stay although the motion shifts them, [N], px."""
+        """Count which of N tracks stay where they are although the motion shifts them, [N], px."""
         should_move = shift_px >= MIN_SHIFT_PX
         places_px = tracks.curr_px[should_move & are_still(tracks), :2]
         self._num_moving += int(should_move.sum())

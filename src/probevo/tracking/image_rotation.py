@@ -39,7 +39,7 @@ MIN_AGREEING = 12
 def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
     """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
     correlation)."""
-    # In small images, a rotation by several degrees is a shift by a few pixels.
+    # A rotation by several degrees shifts a small image by a few pixels only.
     size = max(image.shape[1] // COARSE_REDUCTION, 2), max(image.shape[0] // COARSE_REDUCTION, 2)
     prev_small, small = (
         cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -77,7 +77,7 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
         return None
     prev_px = np.array([prev_found[match.queryIdx].pt for match in matches])
     curr_px = np.array([found[match.trainIdx].pt for match in matches])
-    # Places are those of the centres of pixels, which are at whole numbers.
+    # Places refer to the centres of pixels, which are at whole numbers.
     to_middle_px = 0.5 * (reduction - 1)
     prev_rays = camera.unit_rays(reduction * prev_px + to_middle_px)
     curr_rays = camera.unit_rays(reduction * curr_px + to_middle_px)

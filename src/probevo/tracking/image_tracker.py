@@ -30,7 +30,7 @@ neighbours, and the window may be stretched."""
 MAX_DISPARITY = 0.25
 """Largest disparity at which a new corner is searched, in widths of the image.
 
-With ordinary lenses, it is that of a depth of two to three baselines."""
+With ordinary lenses, points at a depth of two to three baselines have it."""
 ALIKE_ELSEWHERE = 6.0
 """Difference up to which a match with negative disparity, or in another row, counts as one, in grey
 levels.
@@ -73,13 +73,14 @@ class Followed:
     patches: AnchorPatches
     """Anchor patches of the same features."""
     left_px: FloatArray
-    """(u, v) of those found in the left image, whether or not in the right one, too, [N, 2], px."""
+    """(u, v) of the features found in the left image, whether or not in the right one too, [N, 2],
+    px."""
     disparity_px: FloatArray
     """Predicted disparity of these, [N], px."""
 
     @property
     def tracks_of_scene(self) -> Tracks:
-        """The tracks without those of features that are fixed to the vehicle."""
+        """The tracks of the scene, without features that are fixed to the vehicle."""
         return Tracked(self.tracks, self.alive).tracks_of_scene
 
     @property
@@ -131,42 +132,42 @@ class ImageTracker:
         """Find the features of the previous frame in this one; see ``track``."""
         images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
-        # In the current left image, with their predicted disparity, and from there in the right.
-        found = self._match_in_time(state, images, T_curr_prev, rejected=rejected)
-        in_stereo = self._match_in_stereo(
+        # Match in the current left image, with predicted disparities, and from there in the right.
+        temporal = self._match_in_time(state, images, T_curr_prev, rejected=rejected)
+        stereo = self._match_in_stereo(
             images,
-            found.left_px,
-            found.patches,
-            disparity_px=found.disparity_px,
+            temporal.left_px,
+            temporal.patches,
+            disparity_px=temporal.disparity_px,
             are_new=False,
             fewest=_fewest_to_go_on(self._config),
             rejected=rejected,
         )
-        matched = in_stereo.matched
+        matched = stereo.matched
         # Only features with a stereo match go on.
         alive = TrackingState(
-            ids=found.prev.ids[matched],
-            pixels=np.hstack([found.left_px[matched], in_stereo.right_px]),
-            age=found.prev.age[matched] + 1,
+            ids=temporal.prev.ids[matched],
+            pixels=np.hstack([temporal.left_px[matched], stereo.right_px]),
+            age=temporal.prev.age[matched] + 1,
             left=images.left,
             next_id=state.next_id,
         )
         tracks = Tracks(
-            prev_px=found.prev.pixels[matched],
+            prev_px=temporal.prev.pixels[matched],
             curr_px=alive.pixels,
             ids=alive.ids,
             age=alive.age,
             rejected=rejected,
-            difference=np.column_stack([found.difference[matched], in_stereo.difference]),
-            alignment_cov_px2=np.stack([found.cov_px2[matched], in_stereo.cov_px2], axis=1),
+            difference=np.column_stack([temporal.difference[matched], stereo.difference]),
+            alignment_cov_px2=np.stack([temporal.cov_px2[matched], stereo.cov_px2], axis=1),
         )
         return Followed(
             images=images,
             tracks=tracks,
             alive=replace(alive, fixed_ids=state.fixed_after(tracks)),
-            patches=in_stereo.patches,
-            left_px=found.left_px,
-            disparity_px=found.disparity_px,
+            patches=stereo.patches,
+            left_px=temporal.left_px,
+            disparity_px=temporal.disparity_px,
         )
 
     def with_new_features(self, followed: Followed) -> Tracked:
@@ -179,7 +180,7 @@ class ImageTracker:
             images.corners, followed.left_px, image.shape, config=self._config
         )
         rejected = Counter(followed.tracks.rejected)
-        in_stereo = self._match_in_stereo(
+        stereo = self._match_in_stereo(
             images,
             corners,
             AnchorPatches.cut(
@@ -192,15 +193,13 @@ class ImageTracker:
         )
         # The features of the previous frame come first, then the new ones, which get an identity.
         alive = followed.alive
-        num_new = len(in_stereo.right_px)
+        num_new = len(stereo.right_px)
         state = replace(
             alive,
             ids=np.concatenate([alive.ids, alive.next_id + np.arange(num_new)]),
-            pixels=np.vstack(
-                [alive.pixels, np.hstack([corners[in_stereo.matched], in_stereo.right_px])]
-            ),
+            pixels=np.vstack([alive.pixels, np.hstack([corners[stereo.matched], stereo.right_px])]),
             age=np.concatenate([alive.age, np.ones(num_new, np.int64)]),
-            patches=followed.patches.joined(in_stereo.patches),
+            patches=followed.patches.joined(stereo.patches),
             next_id=alive.next_id + num_new,
         )
         return Tracked(replace(followed.tracks, rejected=dict(rejected)), state)
@@ -259,7 +258,7 @@ class ImageTracker:
         is_whole = _inside(tracked.pixels[alike], image, border_px)
         rejected[NO_FIT] += int((~fits & is_whole).sum())
         rejected[LEFT_THE_VIEW] += int((~fits & ~is_whole).sum())
-        # Of two features that have converged on one point, keep the older one, which comes first.
+        # Where two features have converged on one point, keep the older one, which comes first.
         # Both would count as independent, although their errors are the same.
         kept = np.flatnonzero(fits)
         separate = non_overlapping(aligned.pixels[kept], image.shape, self._config)
@@ -296,8 +295,8 @@ class ImageTracker:
             left_px: the points, (u, v), [N, 2], px.
             patches: anchor patch of each.
             disparity_px: predicted disparity, [N], px.
-            are_new: whether these are new corners, whose disparity is only a guess; that of others
-                follows from the previous frame.
+            are_new: whether these are new corners, whose disparity is only a guess; the others'
+                disparity follows from the previous frame.
             fewest: how many must go on, however different they look.
             rejected: counts what each check rejects.
         """
@@ -383,7 +382,7 @@ class ImageTracker:
         """Search those new corners along their rows that Lucas–Kanade has not found.
 
         The disparity of a new corner is a guess, and Lucas–Kanade reaches a few tens of pixels.
-        Near points are beyond, and so are those of a high resolution or a wide baseline. The search
+        Near points are beyond, as are many points at a high resolution or with a wide baseline. It
         goes in both directions, so that swapped images are recognised.
 
         Args:
@@ -392,12 +391,12 @@ class ImageTracker:
             tracked: where Lucas–Kanade has ended in the right image.
 
         Returns:
-            All N corners, those that the search has found at their new places.
+            All N corners; what the search has found is at its new place.
         """
         looks_alike = tracked.difference <= _gate(self._config)
         same_row = self._in_same_row(left_px, tracked.pixels)
         lost = np.flatnonzero(~(same_row & looks_alike))
-        # In images of half the size there are half as many places, windows cover more, and an error
+        # Images of half the size have half as many places, windows cover more of them, and an error
         # of the rows is half as large.
         level = min(1, len(images.left) - 1)
         scale = 0.5**level
@@ -424,11 +423,11 @@ class ImageTracker:
         )
         same_row = self._in_same_row(left_px[lost], again.pixels)
         is_found = same_row & (again.difference <= _gate(self._config))
-        found = lost[is_found]
+        recovered = lost[is_found]
         pixels = tracked.pixels.copy()
-        pixels[found] = again.pixels[is_found]
+        pixels[recovered] = again.pixels[is_found]
         difference = tracked.difference.copy()
-        difference[found] = again.difference[is_found]
+        difference[recovered] = again.difference[is_found]
         return TrackedPoints(pixels, difference)
 
     def _in_same_row(self, left_px: FloatArray, right_px: FloatArray) -> BoolArray:
@@ -448,9 +447,9 @@ class ImageTracker:
 def _disparity_of_nearest(
     corners: FloatArray, left_px: FloatArray, disparity: FloatArray
 ) -> FloatArray:
-    """Return the disparity [M] to start with at corners [M, 2]: that [N] of the nearest feature."""
+    """Return the disparity [M] to start with at corners [M, 2]: the nearest feature's, [N]."""
     # Without any feature the search starts at infinity, where the disparity is 0.
-    found = np.zeros(len(corners))
+    corner_disparity = np.zeros(len(corners))
     for m in range(len(corners)):
         nearest = np.inf
         for n in range(len(left_px)):
@@ -458,8 +457,8 @@ def _disparity_of_nearest(
             dv = left_px[n, 1] - corners[m, 1]
             if du * du + dv * dv < nearest:
                 nearest = du * du + dv * dv
-                found[m] = disparity[n]
-    return found
+                corner_disparity[m] = disparity[n]
+    return corner_disparity
 
 
 def _look_alike(
@@ -478,8 +477,8 @@ def _look_alike(
 
 
 def _fewest_to_go_on(config: TrackingConfig) -> int:
-    """Return a quarter of the features wanted; not of those found, so that few survivors are not
-    thinned."""
+    """Return a quarter of the features wanted. A quarter of the features found would thin out few
+    survivors."""
     return config.num_features // 4
 
 

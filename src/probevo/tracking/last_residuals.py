@@ -41,11 +41,11 @@ class LastResiduals:
 
     def size_px_of(self, ids: IntArray) -> FloatArray:
         """Return the residuals of features by identity, [N], px; NaN where unknown."""
-        found = np.full(len(ids), np.nan)
+        sizes_px = np.full(len(ids), np.nan)
         rows = rows_of(ids, self.ids)
         is_known = rows >= 0
-        found[is_known] = self.size_px[rows[is_known]]
-        return found
+        sizes_px[is_known] = self.size_px[rows[is_known]]
+        return sizes_px
 
 
 def _residual_sizes(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:

@@ -92,9 +92,9 @@ def track_points(
         )
         # A point without texture on this level stays at its start
         found_px = scaled_px / scale
-    # Level 0 comes last: its status and difference are those of the result
-    found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
+    # Level 0 comes last: its status and difference belong to the result.
+    is_found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
     return TrackedPoints(
-        pixels=np.where(found[:, None], found_px, -1.0).astype(np.float64),
-        difference=np.where(found, difference[:, 0], np.inf),
+        pixels=np.where(is_found[:, None], found_px, -1.0).astype(np.float64),
+        difference=np.where(is_found, difference[:, 0], np.inf),
     )

@@ -37,7 +37,7 @@ class ObservationStore:
     """The observations of the last frames."""
 
     frames: tuple[FrameObservations, ...] = ()
-    """In the order of time; at most ``MAX_FRAMES``."""
+    """The frames in the order of time; at most ``MAX_FRAMES``."""
 
     def with_frame(self, observations: FrameObservations) -> ObservationStore:
         """Return the store with one more frame; the oldest goes."""

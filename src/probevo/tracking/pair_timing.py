@@ -2,7 +2,7 @@
 
 A point lies in the same row of both images of a rectified pair. While the camera moves, its row in
 the right image of another frame differs, by an amount that depends on its depth. The right image
-whose rows agree best with those of a left image is therefore the one taken at the same time.
+whose rows agree best with the rows of a left image is therefore the one taken at the same time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENOUGH_VOTES = 8
 UNANIMOUS = 0.8
 """Share of these that have to agree."""
 CLEAR_RATIO = 1.5
-"""Factor by which the rows of the best right image agree better than those of any other; it is
+"""Factor by which the rows of the best right image agree better than the rows of any other; it is
 less for a camera at rest."""
 MIN_MATCHES = 20
 MAX_FORWARD_BACKWARD_PX = 0.5
@@ -95,19 +95,19 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
         config: settings of the search.
 
     Returns:
-        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is found.
+        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is matched.
     """
     left_px = images.corners.reshape(-1, 2)
     left_px = left_px[np.isfinite(left_px[:, 0])]
     # Keep points that track there and back to the same place: a wrong match seldom does.
-    found = track_points(images.left, right, left_px, start_px=left_px, config=config)
-    back = track_points(right, images.left, found.pixels, start_px=found.pixels, config=config)
+    matches = track_points(images.left, right, left_px, start_px=left_px, config=config)
+    back = track_points(right, images.left, matches.pixels, start_px=matches.pixels, config=config)
     forward_backward_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
-    is_match = np.isfinite(found.difference) & np.isfinite(back.difference)
+    is_match = np.isfinite(matches.difference) & np.isfinite(back.difference)
     is_match &= forward_backward_px < MAX_FORWARD_BACKWARD_PX
     if is_match.sum() < MIN_MATCHES:
         return np.inf
-    return _scatter(left_px[is_match], (found.pixels - left_px)[is_match, 1])
+    return _scatter(left_px[is_match], (matches.pixels - left_px)[is_match, 1])
 
 
 def _clearly_best(scatters: list[float]) -> int | None:

@@ -85,7 +85,7 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
 
 
 def right_contrast(left: Image, right: Image, config: TrackingConfig) -> float:
-    """Return the contrast of a right image over that of the left one; NaN if that has none.
+    """Return the contrast of a right image over the left one's; NaN if the left one has none.
 
     Cameras that are exposed alike have about 1 (``MIN_GAIN_IN_STEREO``).
     """

@@ -1,5 +1,5 @@
-"""Images that repeat: those of a driver that hangs, of a video whose frames were doubled, or of a
-camera at rest."""
+"""Images that repeat: from a driver that hangs, a video whose frames were doubled, or a camera
+at rest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_TEXTURE = 0.001
 
 
 def are_repeated(prev: Frame, curr: Frame) -> bool:
-    """Return whether an image of a frame equals that of the previous one, byte by byte.
+    """Return whether an image of a frame equals the previous frame's, byte by byte.
 
     The noise of a camera makes two exposures differ, so that equal images mean a dropped frame.
     """
@@ -30,7 +30,7 @@ def are_repeated(prev: Frame, curr: Frame) -> bool:
 
 
 def look_repeated(prev: Frame, curr: Frame) -> bool:
-    """Return whether the left image of a frame is that of the previous frame but for noise.
+    """Return whether the left image of a frame equals the previous frame's but for noise.
 
     Noise averages out over blocks of pixels. The remaining difference, relative to the contrast of
     the image, is 0.3 or more from frame to frame on KITTI, Karlsruhe, and EuRoC in motion, and 0.01

@@ -101,7 +101,7 @@ class Tracked:
 
     @property
     def tracks_of_scene(self) -> Tracks:
-        """The tracks without those of features that are fixed to the vehicle."""
+        """The tracks of the scene, without features that are fixed to the vehicle."""
         is_fixed = self.state.are_fixed(self.tracks.ids)
         return self.tracks.subset(~is_fixed) if is_fixed.any() else self.tracks
 

@@ -57,8 +57,8 @@ class Tracks:
 
     @property
     def are_aligned(self) -> bool:
-        """Whether each place is that of a window aligned with the patch of the point's first frame;
-        tracks of another front end are not."""
+        """Whether each place was found by aligning a window with the patch of the point's first
+        frame, which another front end does not do."""
         return self.difference is not None
 
     @property
@@ -71,7 +71,8 @@ class Tracks:
 
     @property
     def novelty(self) -> float:
-        """How much the errors of the points tell that those of the previous frame did not, 0 to 1.
+        """Share of information in the errors of the points that the previous frame did not have, 0
+        to 1.
 
         The error of a point depends on its place between the pixels: it is another one a pixel
         further (``NEW_ERROR_PX``), and the same one where the image has hardly moved. Of a smaller
@@ -111,8 +112,8 @@ class Tracks:
         )
 
     def corrected_for_window(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
-        """Return the tracks with both observations corrected for all errors of the rig but those of
-        the disparity that the window estimates itself."""
+        """Return the tracks with both observations corrected for all errors of the rig but the
+        disparity errors that the window estimates itself."""
         return replace(
             self,
             prev_px=rig.corrected_for_window(self.prev_px, camera),

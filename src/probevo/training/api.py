@@ -59,7 +59,7 @@ def train_model(
         out: the model file.
         on_progress: called after each frame and iteration; with other workers, from time to time by
             another thread.
-        own_predictors: predictors beside those of the settings.
+        own_predictors: predictors besides the ones of the settings.
         workers: processes that go through the recordings; by default this one.
 
     Returns:
@@ -118,13 +118,13 @@ def _as_recordings(recordings: object) -> list[Recording]:
     cure = 'Give a list of recordings or of their folders, such as ["drive"].'
     if isinstance(recordings, str | Path) or not isinstance(recordings, Iterable):
         raise InputError("recordings", f"is {brief(recordings)}.", cure)
-    found = [Path(each) if isinstance(each, str) else each for each in recordings]
-    if not found:
+    named = [Path(each) if isinstance(each, str) else each for each in recordings]
+    if not named:
         raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
-    for each in found:
+    for each in named:
         if not isinstance(each, Path | RecordingAt) and not hasattr(each, "camera"):
             raise InputError("recordings", f"holds {brief(each)}.", cure)
-    return found
+    return named
 
 
 def _train(

@@ -87,21 +87,23 @@ class Checkpoint:
         chosen = settings.model_dump(
             mode="json", exclude={"neighbors", "exponent", "average", "iterations"}
         )
-        of_drives = {name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")}
+        drive_settings = {
+            name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")
+        }
         plan = {
             "probevo": __version__,
-            "drives": {**of_drives, "columns": list(columns), "recordings": recordings},
+            "drives": {**drive_settings, "columns": list(columns), "recordings": recordings},
             "iterations": chosen | {"truths": truths},
         }
 
         # Refuse to mix the drives of two different trainings.
-        found = checkpoint._plan()
-        is_same = all(found.get(part) == plan[part] for part in ("probevo", "drives"))
-        is_work = found.get("drives") and any(checkpoint.folder.glob("drive-[0-9]*.npz"))
+        kept_plan = checkpoint._plan()
+        is_same = all(kept_plan.get(part) == plan[part] for part in ("probevo", "drives"))
+        is_work = kept_plan.get("drives") and any(checkpoint.folder.glob("drive-[0-9]*.npz"))
         if is_work and not is_same:
             differs = "recordings, predictors or odometry"
-            if found.get("drives") == plan["drives"]:
-                differs = f"code, probevo {found.get('probevo')} instead of {__version__}"
+            if kept_plan.get("drives") == plan["drives"]:
+                differs = f"code, probevo {kept_plan.get('probevo')} instead of {__version__}"
             raise InputError(
                 checkpoint.folder,
                 f"a training that was stopped here had other {differs}.",
@@ -110,9 +112,9 @@ class Checkpoint:
 
         # Remove what cannot be used. With another plan no drive is begun yet, or an earlier removal
         # was interrupted.
-        if found and not is_same:
+        if kept_plan and not is_same:
             checkpoint._remove_all()
-        elif found.get("iterations") != plan["iterations"]:
+        elif kept_plan.get("iterations") != plan["iterations"]:
             checkpoint._remove(*MADE_OF_DRIVES)
         checkpoint._remove("*.part", "*.frames")
         write_atomically(checkpoint.folder / PLAN, json.dumps(plan, indent=1) + "\n")
@@ -176,12 +178,12 @@ class Checkpoint:
                 "is in the way: a folder of this name keeps the work so far.",
                 "Move it.",
             )
-        found = set(self.folder.iterdir()) if self.folder.exists() else set()
-        foreign = sorted(found - self._matching(LOCK, *OWN))
-        without_plan = sorted(found - self._matching(*BEFORE_PLAN))
+        files = set(self.folder.iterdir()) if self.folder.exists() else set()
+        foreign = sorted(files - self._matching(LOCK, *OWN))
+        without_plan = sorted(files - self._matching(*BEFORE_PLAN))
         if foreign:
             what = f"holds {foreign[0].name}, which is none of ours"
-        elif without_plan and self.folder / PLAN not in found:
+        elif without_plan and self.folder / PLAN not in files:
             what = f"holds {without_plan[0].name} but no {PLAN}, so that it is none of ours"
         else:
             return

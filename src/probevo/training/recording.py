@@ -71,7 +71,7 @@ def record_all(
     if not missing:
         return
 
-    # In this process: one recording after another, reported frame by frame.
+    # Record in this process: one recording after another, reported frame by frame.
     if workers.are_here:
         for number in missing:
             _record(

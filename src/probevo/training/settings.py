@@ -124,8 +124,9 @@ class KernelSettings(Settings):
     refers_to: Literal["observation", "residual"] = Field(
         "observation",
         description=(
-            "Learn the noise of single observations, from which the solver derives that of the"
-            " residual for any depth and speed; or that of the residual as a whole, as published."
+            "Learn the noise of single observations, from which the solver derives the noise of the"
+            " residual for any depth and speed; or the noise of the residual as a whole, as"
+            " published."
         ),
     )
     time_correlation: bool = Field(
@@ -162,7 +163,7 @@ class KernelSettings(Settings):
     def published() -> KernelSettings:
         """Return the settings of PROBE-GK as published.
 
-        The noise is that of residuals, the posterior an inverse Wishart, the motions of EM are
+        The noise describes residuals, the posterior is an inverse Wishart, the motions of EM are
         solved by least squares, the rig is rigid, and the truth is exact.
         """
         return KernelSettings(
@@ -207,7 +208,7 @@ class TrainSettings(Settings):
             "Ground truth to use: the pose of every frame (gt) or of some frames (sparse), only"
             " positions (position), the fact that each drive ends where it began (loop; or its"
             " true last pose, if known), or none. With none, the motion of all features is the"
-            " reference for that of a few, which is better than a truth with errors of"
+            " reference for the motion of a few, which is better than a truth with errors of"
             " centimetres from frame to frame, such as KITTI's."
         ),
     )

@@ -141,11 +141,11 @@ class DriveOnDisk:
         """Facts of the whole drive."""
         path = self._path(self.name, ".json")
         with damage_reported(path):
-            found = json.loads(path.read_text("utf-8"))
-            arrays = {name: np.array(value) for name, value in found["moments"].items()}
+            fields = json.loads(path.read_text("utf-8"))
+            arrays = {name: np.array(value) for name, value in fields["moments"].items()}
             # ``rows`` counts all features, and is the one field that is no array.
-            found["moments"] = Moments(**arrays | {"rows": found["features"]})
-            return DriveFacts(**found)
+            fields["moments"] = Moments(**arrays | {"rows": fields["features"]})
+            return DriveFacts(**fields)
 
     @property
     def supervision(self) -> Supervision:

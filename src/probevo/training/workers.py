@@ -91,10 +91,10 @@ class Workers:
                 # Do all tasks, and those again that were lost with a worker.
                 losses = 0
                 while losses < MAX_LOSSES and job.missing:
-                    num_done = len(job.found)
+                    num_done = len(job.results)
                     # A loss after progress may be chance; only losses in a row count.
                     if not job.attempt(run, job.missing):
-                        losses = 1 if len(job.found) > num_done else losses + 1
+                        losses = 1 if len(job.results) > num_done else losses + 1
                 # One at a time, so that it shows which task it is that takes down its worker.
                 for number in job.missing:
                     for _ in range(MAX_LOSSES):
@@ -114,7 +114,7 @@ class Workers:
                 f"its worker was lost {MAX_LOSSES} times, though it ran nothing else.",
                 "Did the memory give out? The same command goes on from what is done.",
             )
-        return [job.found[number] for number in range(len(tasks))]
+        return [job.results[number] for number in range(len(tasks))]
 
     @contextmanager
     def _ready(self) -> Iterator[Run]:
@@ -138,12 +138,12 @@ class _Job(Generic[Task, Result]):
         self.work = work
         self.tasks = tasks
         self.on_done = on_done
-        self.found: dict[int, Result] = {}
+        self.results: dict[int, Result] = {}
 
     @property
     def missing(self) -> list[int]:
         """Numbers of the tasks without a result."""
-        return [number for number in range(len(self.tasks)) if number not in self.found]
+        return [number for number in range(len(self.tasks)) if number not in self.results]
 
     def attempt(self, run: Run, numbers: list[int]) -> bool:
         """Do these tasks; return False if a worker was lost meanwhile."""
@@ -151,7 +151,7 @@ class _Job(Generic[Task, Result]):
         try:
             with closing(run(self.work, numbered)) as results:
                 for number, result in results:
-                    self.found[number] = result
+                    self.results[number] = result
                     self.on_done(number)
         except (BrokenExecutor, LostWorkerError):
             return False
@@ -322,7 +322,7 @@ def _numbered(work: Callable[[Any], Any], number: int, task: Any) -> tuple[int, 
     """Do one task on one core."""
     import cv2
 
-    # As many workers as cores: OpenCV's own threads would compete with them.
+    # There are as many workers as cores: OpenCV's own threads would compete with them.
     cv2.setNumThreads(1)
     return number, work(task)
 
@@ -342,12 +342,13 @@ def _client(address: str) -> Any:
             "Install probevo[cluster], here and where its workers run.",
         ) from error
     try:
-        # In a thread, since this one may have an event loop of its own, as in a notebook.
+        # Use another thread, since this one may have an event loop of its own, as in a notebook.
         with ThreadPoolExecutor(max_workers=1) as thread:
             thread.submit(asyncio.run, _check_scheduler(address)).result()
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except Exception as error:
-        # Of any type: Dask takes the bytes of another service for lengths, or for its own messages.
+        # Any type may come: Dask takes another service's bytes for lengths, or for its own
+        # messages.
         raise InputError(
             "--cluster",
             f"no Dask scheduler answers at {address!r}.",

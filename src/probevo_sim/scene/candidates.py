@@ -41,7 +41,7 @@ class Candidates(NamedTuple):
     nearest_m: FloatArray
     """Least depth of each solid along the camera's axis, [N].
 
-    The lists of the image are in this order; those of the ground have none, [0]."""
+    The lists of the image are in this order; the lists of the ground have no depths, [0]."""
 
 
 def image_candidates(scene: SceneArrays, view: View, size_px: tuple[int, int]) -> Candidates:

@@ -106,7 +106,7 @@ class Trajectory:
         The vehicle deviates sideways from the planned path by 0.1 m rms, and its suspension
         oscillates at 1 to 2 Hz with an amplitude that grows with the speed as v / (v + 2 m/s). A
         rig that is carried sways in all directions besides. At an end at rest the pose is exactly
-        that of the plan.
+        the planned one.
 
         Args:
             route: the road.
@@ -198,8 +198,8 @@ class Trajectory:
         t_s = np.asarray(t_s, float)
         force = self._accelerations(t_s)[..., :3] + [0.0, 0.0, GRAVITY_M_S2]
         C_world_body = _rotation(self.coordinates(t_s)[..., 3:])
-        in_camera: FloatArray = (force[..., None, :] @ C_world_body)[..., 0, :] @ C_BODY_CAM
-        return in_camera
+        force_camera: FloatArray = (force[..., None, :] @ C_world_body)[..., 0, :] @ C_BODY_CAM
+        return force_camera
 
     @cached_property
     def _rates(self) -> BSpline:

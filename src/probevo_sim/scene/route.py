@@ -107,7 +107,7 @@ class Route:
         spline = make_interp_spline(
             knots, (1.0 - roundness) * (waves - waves[0]), k=5, bc_type="periodic"
         )
-        # The Taylor coefficients of the spline at each knot are those of the polynomial after it.
+        # The Taylor coefficients of the spline at each knot belong to the polynomial after it.
         derivatives = [spline(knots[:-1], nu=order) for order in range(6)]
         coefficients = np.array(
             [derivatives[order] / np.prod(np.arange(1, order + 1)) for order in range(5, -1, -1)]

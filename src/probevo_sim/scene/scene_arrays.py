@@ -146,19 +146,19 @@ def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]
     blocks = np.full(near.max(axis=0)[::-1] + 1, -1)
     blocks[near[:, 1], near[:, 0]] = np.arange(len(near))
 
-    # The distance from the centre line at the nodes of these blocks: roughly that from the nearest
-    # of its points, positive to the left.
+    # The distance from the centre line at the nodes of these blocks: roughly the distance from the
+    # nearest of its points, positive to the left.
     steps_m = MAP_CELL_M * np.arange(BLOCK_CELLS + 1)
-    in_block_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
-    nodes_m = (corner_m + BLOCK_M * near)[:, None, None] + in_block_m
+    node_offsets_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
+    nodes_m = (corner_m + BLOCK_M * near)[:, None, None] + node_offsets_m
     T_world_line = _line(ground, LEAD_M + BLOCK_M * len(around), spacing_m)
     rough_m, nearest = KDTree(T_world_line[:, :2, 3]).query(nodes_m)
     T_world_nearest = T_world_line[nearest]
     to_node_m = nodes_m - T_world_nearest[..., :2, 3]
     distance_m = np.copysign(rough_m, np.sum(T_world_nearest[..., :2, 1] * to_node_m, axis=-1))
 
-    # In the cells that the bands reach into, it is exact. Of the others it only matters that they
-    # are beyond. A rough distance is too large by half the spacing at most.
+    # The distance is exact in the cells that the bands reach into. The other cells only have to be
+    # beyond. A rough distance is too large by half the spacing at most.
     is_reached = rough_m <= reach_m + 0.5 * spacing_m + 2.0 * MAP_CELL_M
     distance_m[is_reached] = ground.route.nearest(nodes_m[is_reached])[1]
     return corner_m, blocks, distance_m.astype(np.float32)

@@ -39,8 +39,8 @@ def expose(radiance: FloatImage, gain: float, noise: float, rng: np.random.Gener
     Args:
         radiance: [height, width]; 1 is white.
         gain: gain of the exposure.
-        noise: strength of the noise, 0 … 1; its variance is that of the read noise plus that of the
-            shot noise, which grows with the light.
+        noise: strength of the noise, 0 … 1; its variance is the sum of the read noise's and the
+            shot noise's, which grows with the light.
         rng: source of the noise; nothing is drawn without noise.
     """
     grey = np.float32(gain * WHITE_GREY) * radiance

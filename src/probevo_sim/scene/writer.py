@@ -112,8 +112,8 @@ def _check_out(settings: str, out: Path) -> None:
     """
     check_folder(out, "--out")
     try:
-        found = out.iterdir() if out.is_dir() else ()
-        if all(path.suffix == ".part" or path.name == LOCK for path in found):
+        entries = out.iterdir() if out.is_dir() else ()
+        if all(path.suffix == ".part" or path.name == LOCK for path in entries):
             return
         there = (out / SETTINGS_FILE).read_text()
     except (OSError, UnicodeDecodeError):

@@ -52,10 +52,10 @@ StressPreset = Literal[
 """The presets that have a severity."""
 FOCAL_ERROR = 0.03
 RADIAL_DISTORTION = 0.03
-"""Of the preset calibration, unless others are given."""
+"""Errors of the preset calibration, unless others are given."""
 CLEAN_START_FRAMES = 5
 """Frames at the start of a recording under stress that are clean: images that are frozen from the
-first frame on are those of a camera at rest."""
+first frame on look like a camera at rest."""
 
 
 class SpoilConfig(Settings):

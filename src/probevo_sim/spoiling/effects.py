@@ -135,7 +135,7 @@ def distortion_map(camera: StereoCamera, k1: float) -> FloatArray:
 
 def distorted(image: Image, source_px: FloatArray) -> Image:
     """Return an image whose pixels come from these places, [2, height, width], px."""
-    found = cv2.remap(
+    remapped = cv2.remap(
         image, source_px[0], source_px[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
-    return np.asarray(found, np.uint8)
+    return np.asarray(remapped, np.uint8)

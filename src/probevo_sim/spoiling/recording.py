@@ -141,9 +141,9 @@ class SpoiledRecording(ImageRecording):
         """Return the images of a frame with the effect of its plan."""
         amount = plan.amount
         rng = np.random.default_rng([self.config.seed, _FRAME_KEY, index])
-        of_burst = np.random.default_rng([self.config.seed, _BURST_KEY, max(plan.burst, 0)])
+        burst_rng = np.random.default_rng([self.config.seed, _BURST_KEY, max(plan.burst, 0)])
         if plan.effect == "shake":
-            angle = of_burst.uniform(0.0, np.pi)
+            angle = burst_rng.uniform(0.0, np.pi)
             length_px = FULL_SHAKE_PX * amount * rng.uniform(0.5, 1.0)
             way_px = length_px * np.array([np.cos(angle), np.sin(angle)])
             return pair.each(lambda image, _: effects.shaken(image, way_px))
@@ -164,10 +164,10 @@ class SpoiledRecording(ImageRecording):
             gain = FULL_EXPOSURE ** (amount * rng.uniform(-1.0, 1.0))
             return pair.each(lambda image, _: effects.exposed(image, gain, 0.0, rng))
         if plan.effect == "occluder":
-            return _occluded(pair, plan, of_burst)
+            return _occluded(pair, plan, burst_rng)
         if plan.effect == "dirt":
             masks: list[FloatArray] = [
-                effects.dirt_mask(pair.left.shape, amount, of_burst) for _ in range(2)
+                effects.dirt_mask(pair.left.shape, amount, burst_rng) for _ in range(2)
             ]
             return pair.each(lambda image, side: effects.soiled(image, masks[side]))
         if plan.effect == "jpeg":
@@ -182,15 +182,15 @@ def _miscalibrated(camera: StereoCamera, config: SpoilConfig) -> StereoCamera:
     return replace(camera, fu_px=factor * camera.fu_px, fv_px=factor * camera.fv_px)
 
 
-def _occluded(pair: _Pair, plan: FramePlan, of_burst: np.random.Generator) -> _Pair:
+def _occluded(pair: _Pair, plan: FramePlan, burst_rng: np.random.Generator) -> _Pair:
     """Let something textured pass before both cameras, with a disparity of its own."""
     height, width = pair.left.shape
     size = (0.3 + 0.5 * plan.amount) * height
-    patch = effects.texture((round(size), round(size * of_burst.uniform(0.5, 1.5))), of_burst)
-    disparity_px = of_burst.uniform(0.02, 0.08) * width
-    u = of_burst.uniform(0.0, 0.7) * width
-    v = of_burst.uniform(0.0, 0.6) * height
-    step_px = of_burst.uniform(-0.05, 0.05) * width
+    patch = effects.texture((round(size), round(size * burst_rng.uniform(0.5, 1.5))), burst_rng)
+    disparity_px = burst_rng.uniform(0.02, 0.08) * width
+    u = burst_rng.uniform(0.0, 0.7) * width
+    v = burst_rng.uniform(0.0, 0.6) * height
+    step_px = burst_rng.uniform(-0.05, 0.05) * width
     u += plan.position * step_px
     return _Pair(
         effects.pasted(pair.left, patch, (u, v)),

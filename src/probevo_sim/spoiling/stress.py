@@ -128,8 +128,8 @@ class Stress:
 
     def of(self, preset: str) -> list[Figures]:
         """Return the figures of one preset, the least severity first."""
-        found = [figures for figures in self.figures if figures.preset == preset]
-        return sorted(found, key=lambda figures: figures.severity)
+        chosen = [figures for figures in self.figures if figures.preset == preset]
+        return sorted(chosen, key=lambda figures: figures.severity)
 
     @property
     def presets(self) -> list[str]:
@@ -199,24 +199,24 @@ def stress(
         if picture is not None and run.severity < max(settings.severities):
             picture = None
         picture_file = out / RUNS_FOLDER / f"{run.name}.jpg"
-        found = _finished(file, key)
-        if found is not None and (picture is None or picture_file.is_file()):
+        steps = _finished(file, key)
+        if steps is not None and (picture is None or picture_file.is_file()):
             num_resumed += 1
             done += run.num_frames
             on_frame(done, total)
         else:
             recorder = _run(run.recording, run.num_frames, config, on_one=on_one, look=picture)
-            found = step_errors(clean, recorder.result(), _kept(run))
+            steps = step_errors(clean, recorder.result(), _kept(run))
             if picture is not None:
                 write_atomically(picture_file, picture.jpeg)
-            write_atomically(file, json.dumps({"key": key, "steps": asdict(found)}) + "\n")
+            write_atomically(file, json.dumps({"key": key, "steps": asdict(steps)}) + "\n")
         if picture is not None:
             pictures[run.preset] = (picture.caption, picture_file.read_bytes())
-        errors.setdefault((run.preset, run.severity), []).append(found)
+        errors.setdefault((run.preset, run.severity), []).append(steps)
     variances = np.diagonal(clean.cov[is_ok], axis1=1, axis2=2)
     return Stress(
         figures=tuple(
-            figures_of(preset, severity, found) for (preset, severity), found in errors.items()
+            figures_of(preset, severity, parts) for (preset, severity), parts in errors.items()
         ),
         clean_ok=float(is_ok.mean()),
         clean_sigma_m=float(np.sqrt(variances[:, :3].sum(axis=1).mean())),
@@ -228,15 +228,15 @@ def stress(
 
 
 def step_errors(clean: RunResult, spoiled: RunResult, kept: IntArray) -> StepErrors:
-    """Compare the steps of a spoiled run with those of the clean one between the same frames.
+    """Compare the steps of a spoiled run with the clean run between the same frames.
 
-    The covariance of several clean steps is that of independent ones. Steps across which the clean
+    Several clean steps are compounded as independent ones. Steps across which the clean
     run has a step that is not OK are left out.
 
     Args:
         clean: the run on N frames.
         spoiled: the run on M ≤ N of them.
-        kept: their numbers among the N, ascending, [M].
+        kept: numbers of these M frames among the N, ascending, [M].
     """
     rows: list[tuple[bool, float, float, float, float, float]] = []
     for k, (start, end) in enumerate(pairwise(kept.tolist())):

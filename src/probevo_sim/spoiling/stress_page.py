@@ -125,9 +125,9 @@ def errors_figure(stress: Stress, parts: Sequence[ErrorPart] = (TRANSLATION, ROT
     figure = Figure(figsize=(WIDTH_IN * len(parts), 0.7 + 1.5 * num_rows))
     grid = figure.subplots(num_rows, len(parts), sharex=True, sharey="col", squeeze=False)
     for row, preset in zip(grid, stress.presets, strict=True):
-        found = [each for each in stress.of(preset) if each.num_ok]
+        figures = [each for each in stress.of(preset) if each.num_ok]
         for axes, part in zip(row, parts, strict=True):
-            _draw_errors(axes, found, part, clean=part.clean(stress))
+            _draw_errors(axes, figures, part, clean=part.clean(stress))
             axes.set_title(f"{preset}: {part.label}")
     for axes in grid[-1]:
         axes.set(xlabel="severity")
@@ -208,11 +208,11 @@ def write_picture(path: Path, stress: Stress) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _draw_errors(axes: Axes, found: Sequence[Figures], part: ErrorPart, *, clean: float) -> None:
+def _draw_errors(axes: Axes, figures: Sequence[Figures], part: ErrorPart, *, clean: float) -> None:
     """Draw errors and claims of one preset, and what is claimed on the clean images."""
-    severities = [each.severity for each in found]
-    errors = [part.factor * (part.error(each) or 0.0) for each in found]
-    claims = [part.factor * (part.claim(each) or 0.0) for each in found]
+    severities = [each.severity for each in figures]
+    errors = [part.factor * (part.error(each) or 0.0) for each in figures]
+    claims = [part.factor * (part.claim(each) or 0.0) for each in figures]
     axes.plot(severities, errors, "o-", color=BLUE, ms=4, label="error")
     axes.plot(severities, claims, "s--", color=ORANGE, ms=3.5, label="claimed σ, both runs")
     axes.axhline(
@@ -235,10 +235,10 @@ def _draw_shares(
 ) -> None:
     """Draw a share against the severity, %, a line for each preset."""
     for k, preset in enumerate(stress.presets):
-        found = stress.of(preset)
-        shares = [share(each) for each in found]
+        figures = stress.of(preset)
+        shares = [share(each) for each in figures]
         axes.plot(
-            [each.severity for each in found],
+            [each.severity for each in figures],
             [float("nan") if each is None else 100.0 * each for each in shares],
             "o-",
             color=CYCLE[k % len(CYCLE)],

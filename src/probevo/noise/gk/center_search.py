@@ -34,7 +34,7 @@ class Leaves(NamedTuple):
     """C centers in M dimensions, rotated onto their principal axes and stored leaf by leaf."""
 
     axes: FloatArray
-    """Principal axes of the centers as columns, [M, M], that of the largest variance first."""
+    """Principal axes of the centers as columns, [M, M], ordered by decreasing variance."""
     centers: IntArray
     """Index of the center in each position, [C]."""
     head: SingleArray
@@ -47,7 +47,7 @@ class Leaves(NamedTuple):
     @staticmethod
     def of(points: FloatArray) -> Leaves:
         """Sort C centers [C, M] into leaves."""
-        # Rotate onto the principal axes, that of the largest variance first.
+        # Rotate onto the principal axes, ordered by decreasing variance.
         centered = points - points.mean(axis=0)
         axes = np.linalg.eigh(centered.T @ centered)[1][:, ::-1].astype(float)
         rotated = _with_whole_head(points @ axes)
@@ -57,7 +57,7 @@ class Leaves(NamedTuple):
         num_leaves = -(-count // LEAF)
         rows = np.full((num_leaves * LEAF, rotated.shape[1]), np.inf, np.float32)
         rows[:count] = rotated[centers]
-        by_leaf = rows.reshape(num_leaves, LEAF, -1).transpose(0, 2, 1)
+        leaves = rows.reshape(num_leaves, LEAF, -1).transpose(0, 2, 1)
         # Bounding box of each leaf in the first coordinates, without the positions that are filled
         # up.
         starts = np.arange(0, count, LEAF)
@@ -67,20 +67,20 @@ class Leaves(NamedTuple):
         return Leaves(
             axes=axes,
             centers=centers,
-            head=np.ascontiguousarray(by_leaf[:, :HEAD]),
-            tail=np.ascontiguousarray(by_leaf[:, HEAD:]),
+            head=np.ascontiguousarray(leaves[:, :HEAD]),
+            tail=np.ascontiguousarray(leaves[:, HEAD:]),
             boxes=np.array([lowest, highest]),
         )
 
     def nearest(self, queries: FloatArray) -> NearestCenters:
         """Find the NEAREST centers of n points [n, M], or all centers if there are fewer."""
         count = min(NEAREST, len(self.centers))
-        found = NearestCenters(
+        nearest = NearestCenters(
             centers=np.zeros((len(queries), count), np.int64),
             squared=np.full((len(queries), count), np.inf, np.float32),
         )
-        search_leaves(self, _with_whole_head(queries @ self.axes), found)
-        return found._replace(centers=self.centers[found.centers])
+        search_leaves(self, _with_whole_head(queries @ self.axes), nearest)
+        return nearest._replace(centers=self.centers[nearest.centers])
 
 
 def _with_whole_head(rotated: FloatArray) -> SingleArray:
@@ -94,7 +94,7 @@ def _with_whole_head(rotated: FloatArray) -> SingleArray:
 
 
 def _leaf_order(points: SingleArray) -> IntArray:
-    """Return an order of points [C, M] in which those of a leaf are close to each other.
+    """Return an order of points [C, M] in which the points of a leaf are close to each other.
 
     The points are halved along their widest column until each part fits into a leaf, as in a k-d
     tree.

@@ -2,8 +2,8 @@
 
 The cost of a prediction then no longer depends on the amount of training data. Between centers,
 the parameters of the nearest few are averaged with weights of inverse squared distance. The
-parameters are those of ``StudentTBatch.log_cholesky``: every mean is a valid distribution, and half
-way between σ = 0.1 px and 10 px lies 1 px.
+parameters are the ones in ``StudentTBatch.log_cholesky``: every mean is a valid distribution, and
+half way between σ = 0.1 px and 10 px lies 1 px.
 """
 
 from __future__ import annotations

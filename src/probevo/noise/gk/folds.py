@@ -40,7 +40,7 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
     Args:
         samples: the samples.
         groups: number of the group of each sample, [N]; by default blocks of consecutive samples.
-        published: whether the prior is that of the published variant.
+        published: whether the prior is the published variant's.
     """
     # Whole groups go into a fold: neighbouring samples of a drive are correlated, and a model would
     # seem good that has only memorised them.
@@ -48,7 +48,7 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
     if groups is None:
         groups = np.arange(count) * 2 * FOLDS // max(count, 1)
     group = np.unique(groups, return_inverse=True)[1]
-    # Groups are dealt to the folds in turn, so that those of a fold are spread over the data.
+    # Groups are dealt to the folds in turn, which spreads the groups of a fold over the data.
     fold = group % FOLDS
     folds = []
     for number in np.unique(fold):

@@ -65,7 +65,8 @@ class GeneralizedKernel:
         training: settings, recordings and searches of the training, in plain values that JSON can
             hold.
         time_correlation_ratio: standard deviation of the disparity error that is common to both
-            frames, over that of the one that is independent in each; ``fit`` does not estimate it.
+            frames, over that of the error that is independent in each; ``fit`` does not estimate
+            it.
         jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
             is not known. ``fit`` does not estimate it.
     """
@@ -200,8 +201,15 @@ class GeneralizedKernel:
         """Return the posterior of all samples instead of the interpolation between centers.
 
         Only a model with its samples can do so, not one that was read from a file. Places without a
-        sample within reach are out of domain; there the noise is that of the posterior's own prior,
-        which is not widened as in ``predict``.
+        sample within reach are out of domain; there the noise is the posterior's own prior, which
+        is not widened as in ``predict``.
+
+        Args:
+            predictors: points φ of n features in the prediction space, [n, M], in the units of
+                their columns.
+
+        Returns:
+            Noise of (u_l, v_l, u_r, v_r) of n features, with scale matrices [n, 4, 4], px².
         """
         coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
@@ -300,7 +308,7 @@ class GeneralizedKernel:
         return model
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """Refuse a camera unlike that of the training data.
+        """Refuse a camera unlike the one of the training data.
 
         Raises:
             InputError: the cameras differ; the message says in what.

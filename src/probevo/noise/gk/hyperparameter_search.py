@@ -98,8 +98,8 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             raise InputError(where, f"{name} is {value}, which is not a whole number.", "Round it.")
     # Weights: one a column, not all zero.
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
-    in_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())
-    if weights.shape != (dimension,) or not in_bounds or not weights.any():
+    are_within_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())
+    if weights.shape != (dimension,) or not are_within_bounds or not weights.any():
         raise InputError(
             where,
             f"weights are {weights}, where {dimension} from 0 to {MAX_WEIGHT:g} are expected, not"
@@ -196,9 +196,9 @@ class _HeldOut(NamedTuple):
     """What the errors of a fold that are held out are predicted from."""
 
     posterior: KernelPosterior
-    """Of the samples of the other folds."""
+    """Posterior of the samples in the other folds."""
     near: Neighborhoods
-    """Those of them near each point of the fold."""
+    """Samples of the other folds near each point of the fold, with their kernel values."""
 
 
 class _Search:

@@ -55,8 +55,8 @@ class KernelShape:
     """Pseudo-counts of the bias, whose prior is zero; np.inf holds it there."""
     dof: float | None = None
     """Prior degrees of freedom, estimated from errors under the scales of their own points. None
-    takes those of all errors under one scale, which are too few: a mixture of good and bad points
-    has heavy tails even if each point is Gaussian."""
+    takes the degrees of freedom of all errors under one scale, which are too few: a mixture of good
+    and bad points has heavy tails even if each point is Gaussian."""
 
     def as_given(self) -> dict[str, Any]:
         """Return the arguments by which ``GeneralizedKernel`` need not choose any of these again.
@@ -151,8 +151,8 @@ class KernelPosterior:
     def _within_reach(self, points: FloatArray, shape: KernelShape) -> Neighborhoods:
         """Find all samples within ρ."""
         # The tree returns a list of neighbours for each point; they are joined into one array.
-        found = self.tree.query_ball_point(points, shape.reach, return_sorted=True)
-        members_of_each = [self.order[own] for own in found]
+        tree_positions = self.tree.query_ball_point(points, shape.reach, return_sorted=True)
+        members_of_each = [self.order[positions] for positions in tree_positions]
         first: IntArray = np.cumsum([0, *map(len, members_of_each)])
         members = np.concatenate([np.zeros(0, np.int64), *members_of_each])
         # The point that each of the members belongs to, and k = 1 − (|φ − φᵢ|/ρ)² there
@@ -167,15 +167,17 @@ class KernelPosterior:
         nearest = self.tree.query(points, ranks, distance_upper_bound=shape.reach)
         distance = np.asarray(nearest[0])
         near = np.asarray(nearest[1])
-        found = np.isfinite(distance)  # [n, K]; nearest first, so that a missing one is last
+        is_within = np.isfinite(distance)  # [n, K]; nearest first, hence a missing one is last
         # Support of the kernel of each point, [n, 1]: the distance of the K-th sample, or ρ if
         # fewer are within it. It is a little wider, so that the K-th contributes, and all do where
         # all K lie at the very point.
-        radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
+        radius = np.where(is_within[:, -1:], distance[:, -1:], shape.reach)
         support = radius * (1.0 + 1e-3) + 1e-12
-        kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
-        first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
-        return Neighborhoods(first=first, members=self.order[near[found]], kernel=kernel[found])
+        kernel = np.where(is_within, 1.0 - (np.where(is_within, distance, 0.0) / support) ** 2, 0.0)
+        first: IntArray = np.concatenate([[0], np.cumsum(is_within.sum(axis=1))])
+        return Neighborhoods(
+            first=first, members=self.order[near[is_within]], kernel=kernel[is_within]
+        )
 
     def fit(
         self, near: Neighborhoods, shape: KernelShape, iterations: int

@@ -5,8 +5,8 @@ stored at the point φ in the prediction space of the features that gave it. For
 
     β = (ᾱ_K(φ) / ᾱ)^γ,        R_i = β_i R,
 
-where ᾱ_K(φ) is the mean α of the K stored samples nearest to φ, and ᾱ that of all samples: features
-like those that gave poor motions get a larger covariance (PROBE section IV-B, Fig. 3).
+where ᾱ_K(φ) is the mean α of the K stored samples nearest to φ, and ᾱ the mean of all samples:
+features like the ones that gave poor motions get a larger covariance (PROBE section IV-B, Fig. 3).
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ class NearestNeighbors:
 
     @property
     def scale_is_relative(self) -> bool:
-        """Whether that of the static model is; β only compares features with each other."""
+        """Whether the scale of the static model is relative; β only compares features with each
+        other."""
         return has_relative_scale(self.base)
 
     def fit(
@@ -129,7 +130,7 @@ class NearestNeighbors:
 
     def weights(self, predictors: FloatArray) -> FloatArray:
         """Compute β = (ᾱ_K/ᾱ)^γ at N points [N, M], bounded by ``MAX_BETA``: [N]."""
-        # In logarithms, so that a large exponent cannot overflow; β and 1/β have the same bound.
+        # Logarithms, because a large exponent would overflow; β and 1/β have the same bound.
         bound = np.log(MAX_BETA)
         log_beta = self.exponent * self.log_relative_alpha(predictors)
         beta: FloatArray = np.exp(np.clip(log_beta, -bound, bound))
@@ -164,7 +165,7 @@ class NearestNeighbors:
         return values if self.average == "geometric" else np.log(values)
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """Refuse a camera unlike that of the training data.
+        """Refuse a camera unlike the one of the training data.
 
         Raises:
             InputError: the cameras differ; the message says in what.

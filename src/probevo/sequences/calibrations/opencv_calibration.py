@@ -71,7 +71,7 @@ def read_opencv(content: CalibrationContent, size_px: SizePx | None) -> StereoCa
 
 
 def _with_other_file(content: CalibrationContent) -> CalibrationContent:
-    """Return the content together with that of the other file of OpenCV's sample, if there is one.
+    """Return the content, joined with the other file of OpenCV's sample if there is one.
 
     Raises:
         InputError: the other file is damaged.

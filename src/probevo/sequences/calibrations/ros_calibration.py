@@ -20,7 +20,7 @@ def is_ros(content: CalibrationContent) -> bool:
 
 
 def read_ros(content: CalibrationContent, size_px: SizePx | None) -> StereoCalibration:
-    """Read the file of one camera, and that of the other, whose name has the other side.
+    """Read the file of one camera, and the other camera's, whose name has the other side.
 
     The pose of the pair follows from the rectification: with the rotations R and the baseline b
     of the right camera's P, C_right_left = R_rightᵀ R_left and t = R_rightᵀ (−b, 0, 0).

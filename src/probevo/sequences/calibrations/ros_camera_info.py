@@ -116,7 +116,7 @@ def stereo_camera(left: CameraInfo, right: CameraInfo) -> StereoCamera:
 
 
 def rectification_of(left: CameraInfo, right: CameraInfo) -> Rectification:
-    """Return the maps from raw images to those of ``stereo_camera``.
+    """Return the maps from raw images to the images of ``stereo_camera``.
 
     Raises:
         InputError: a distortion model is not supported, or a value is impossible.

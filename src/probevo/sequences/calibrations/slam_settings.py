@@ -25,7 +25,7 @@ def is_vins_camera(content: CalibrationContent) -> bool:
 def read_vins_fusion(content: CalibrationContent, size_px: SizePx | None) -> StereoCalibration:
     """Read the settings of VINS-Fusion, and the two camera files that they name.
 
-    The IMU is the body; ``td`` is added to the clock of the images to get that of the IMU.
+    The IMU is the body; ``td`` is added to the clock of the images to get the clock of the IMU.
 
     Args:
         content: the settings.

@@ -71,7 +71,7 @@ class StereoCalibration:
     def imu(self, C_rect_left: FloatArray) -> ImuCalibration | None:
         """Return the IMU's calibration against the rectified left camera; None without an IMU.
 
-        The noise is that of a consumer IMU: a calibration of cameras does not give it.
+        The noise is a consumer IMU's: a calibration of cameras does not give it.
         """
         if self.T_left_imu is None:
             return None

@@ -375,14 +375,14 @@ def _truth_from_body(folder: Path) -> FloatArray:
     return se3.inverse(read_yaml(path, SensorFile).body_from_sensor(path))
 
 
-def read_truth(folder: Path, T_truth_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
+def read_truth(folder: Path, T_truth_cam: FloatArray, frames_ns: IntArray) -> GroundTruth | None:
     """Return the truth of the rectified left camera at the frames; None if there is none.
 
     Args:
-        folder: that of the truth, whose file gives position and quaternion (w, x, y, z) of a
+        folder: the folder of the truth, whose file gives position and quaternion (w, x, y, z) of a
             sensor in the map.
         T_truth_cam: pose of the rectified left camera in the frame of that sensor, [4, 4], m.
-        at_ns: times of the frames, [K].
+        frames_ns: times of the frames, [K].
 
     Raises:
         InputError: the file is faulty, or knows no pose of the frames.
@@ -402,4 +402,4 @@ def read_truth(folder: Path, T_truth_cam: FloatArray, at_ns: IntArray) -> Ground
     # The camera is fixed to the sensor.
     C = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     T_map_cam = se3.from_parts(C, values[:, :3]) @ T_truth_cam
-    return ground_truth(at_ns, interpolate_poses(stamps_ns, T_map_cam, at_ns), path)
+    return ground_truth(frames_ns, interpolate_poses(stamps_ns, T_map_cam, frames_ns), path)

@@ -38,7 +38,7 @@ IMAGES = "undistorted_images"
 POSE_OF_IMU = "TS_cam_imu"
 """Entry of ``Transformations.txt``: from the IMU to the left camera."""
 LONGEST_QUATERNION_ERROR = 1e-3
-"""Of the length of a quaternion, which the files round to six decimals."""
+"""Largest error of the length of a quaternion, which the files round to six decimals."""
 
 
 def open_four_seasons(path: Path) -> StereoRecording:

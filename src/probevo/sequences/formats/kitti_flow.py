@@ -106,7 +106,7 @@ def read_flow_truth(path: Path, scene: int, *, with_occluded: bool = True) -> Fl
     which = "occ" if with_occluded else "noc"
     name = f"{scene:06d}_{TRUTH_FRAME}.png"
     folder = path / f"disp_{which}"
-    if not folder.is_dir():  # that of 2015, which has the disparity at frame 11, too
+    if not folder.is_dir():  # the folder of 2015, which has the disparity at frame 11, too
         folder = path / f"disp_{which}_0"
     disparity = _read_16_bits(folder / name, channels=1)
     flow = _read_16_bits(path / f"flow_{which}" / name, channels=3)

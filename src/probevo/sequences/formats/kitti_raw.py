@@ -46,14 +46,14 @@ ACCEL_BIAS_SIGMA_M_S2 = 1e-2
 def open_kitti_raw(path: Path) -> StereoRecording:
     """Open the grayscale cameras 00 and 01 of a ``*_sync`` drive.
 
-    The calibration is in the parent folder, that of the date. OXTS, if present, gives the IMU and
-    the ground truth. The truth follows KITTI's development kit (Mercator projection scaled at the
-    first latitude), is transformed to the rectified camera 00, and is interpolated from the times
-    of the OXTS packets to those of the images: a *sync* drive pairs each image with the nearest
-    packet, but that packet is up to 8 ms away, and the offset jumps by 10 ms from frame to frame.
-    On drive 0005, interpolated truth differs from the rotation between frames in the images
-    (essential matrix) by 0.018° in the median and 0.019° rms in yaw; without interpolation by
-    0.035° and 0.048°.
+    The calibration is in the parent folder, which is named after the date. OXTS, if present, gives
+    the IMU and the ground truth. The truth follows KITTI's development kit (Mercator projection
+    scaled at the first latitude), is transformed to the rectified camera 00, and is interpolated
+    from the times of the OXTS packets to those of the images: a *sync* drive pairs each image with
+    the nearest packet, but that packet is up to 8 ms away, and the offset jumps by 10 ms from frame
+    to frame. On drive 0005, interpolated truth differs from the rotation between frames in the
+    images (essential matrix) by 0.018° in the median and 0.019° rms in yaw; without interpolation
+    by 0.035° and 0.048°.
 
     Raises:
         InputError: a file or field is missing, counts differ, or a value is impossible.
@@ -94,7 +94,7 @@ def _with_oxts(recording: StereoRecording, cam_to_cam: KittiCalibration) -> Ster
     T_cam_imu = _rectified_camera_from_imu(recording.path, cam_to_cam)
     T_map_cam = imu_poses(oxts[:, LAT_LON_ALT], oxts[:, ROLL_PITCH_YAW]) @ se3.inverse(T_cam_imu)
     # The packets have times of their own.
-    at_images = interpolate_poses(oxts_ns, T_map_cam, recording.stamps_ns)
+    T_map_cam_at_images = interpolate_poses(oxts_ns, T_map_cam, recording.stamps_ns)
     held_ns, gyro = hold_over_interval(oxts_ns, oxts[:, GYRO_XYZ])
     _, accel = hold_over_interval(oxts_ns, oxts[:, ACCEL_XYZ])
     return dataclasses.replace(
@@ -114,7 +114,7 @@ def _with_oxts(recording: StereoRecording, cam_to_cam: KittiCalibration) -> Ster
             frames_ns=recording.stamps_ns,
             where=recording.path / "oxts",
         ),
-        truth=ground_truth(recording.stamps_ns, at_images, recording.path / "oxts"),
+        truth=ground_truth(recording.stamps_ns, T_map_cam_at_images, recording.path / "oxts"),
     )
 
 
@@ -136,8 +136,8 @@ def _read_oxts(folder: Path) -> tuple[IntArray, FloatArray]:
     Raises:
         InputError: there are fewer than two packets, or a packet or stamp is faulty.
     """
-    found = (folder / "data").glob("[!.]*.txt")  # not macOS's ._ files
-    files = sorted(found, key=lambda file: natural_order(file.name))
+    data_files = (folder / "data").glob("[!.]*.txt")  # not macOS's ._ files
+    files = sorted(data_files, key=lambda file: natural_order(file.name))
     if len(files) < 2:
         raise InputError(folder / "data", f"{len(files)} OXTS packets; at least 2 are needed.")
     stamps_ns = read_datetimes(folder / "timestamps.txt", len(files))

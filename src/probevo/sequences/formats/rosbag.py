@@ -191,7 +191,7 @@ class _Content:
 def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     """Open the stereo images of a bag, and its IMU if it has one whose pose is known.
 
-    Left and right images are paired by the stamps in their headers. The camera is that of the
+    Left and right images are paired by the stamps in their headers. The camera is the one of the
     CameraInfo: topics called "rect" hold rectified images; others are rectified by its K, D, R
     and P unless these say that nothing is to be done. A calibration file replaces the CameraInfo.
 
@@ -508,8 +508,8 @@ def _imu_of_transforms(
 ) -> ImuCalibration | None:
     """Return the IMU's calibration by ``tf_static``; None if its pose is not there.
 
-    A frame of images, z forward, is not that of an IMU: headers that name one frame for both, or
-    none, say nothing of its pose. Its noise is that of a consumer IMU, because bags do not contain
+    A frame of images, z forward, is not an IMU's: headers that name one frame for both, or
+    none, say nothing of its pose. Its noise is a consumer IMU's, because bags do not contain
     it.
     """
     if not content.imu_ns:
@@ -521,7 +521,7 @@ def _imu_of_transforms(
     T_root_imu, imu_root = _from_root(content, content.imu_frame)
     if camera_root != imu_root:
         return None
-    # R rotates from the camera's own frame to that of its rectified images.
+    # R rotates from the camera's own frame to the frame of its rectified images.
     T_rect_cam = se3.from_parts(left_info.R, np.zeros(3))
     return mems_imu(T_rect_cam @ se3.inverse(T_root_cam) @ T_root_imu)
 
@@ -604,8 +604,10 @@ def _body_from_camera(
     T_root_cam, camera_root = _from_root(content, image.header.frame_id)
     T_root_body, body_root = _from_root(content, body)
     if not body or camera_root != body_root:
-        of = f"the frame {body}" if body else "a frame that it does not name"
-        what = f"its poses are those of {of}, and tf_static does not have the camera's pose in it."
+        frame = f"the frame {body}" if body else "a frame that it does not name"
+        what = (
+            f"its poses are those of {frame}, and tf_static does not have the camera's pose in it."
+        )
         for root in (camera_root, body_root):
             if root in content.faulty_transforms:
                 what += f" Its transform of {root}: {content.faulty_transforms[root].what}"

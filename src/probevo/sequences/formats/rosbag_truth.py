@@ -15,19 +15,19 @@ from probevo.geometry import se3
 
 @dataclass
 class TruthPoses:
-    """The poses that a topic gives; in the end those of one body in one world."""
+    """The poses that a topic gives; ``arrays`` returns the poses of one body in one world."""
 
     where: str
     """Bag and topic, for messages."""
     child: str | None
     """The frame whose poses are wanted; None to take the only one that the messages name. Where
-    they name one other frame alone, their poses are taken for those of this one."""
+    they name one other frame alone, their poses are taken for this frame's."""
     stamps_ns: list[int] = field(default_factory=list)
     T_world_child: list[FloatArray] = field(default_factory=list)
     children: list[str] = field(default_factory=list)
     """The frame that each message names, "" where it names none."""
     parents: list[str] = field(default_factory=list)
-    """The frame of its world."""
+    """The frame of the world of each pose."""
 
     @property
     def named(self) -> str:
@@ -58,9 +58,9 @@ class TruthPoses:
             InputError: there is no pose, or they are of several bodies, or in several worlds.
         """
         if not self.stamps_ns:
-            of = f" of {self.child}" if self.child else ""
+            what = f"it has no pose of {self.child}." if self.child else "it has no pose."
             cure = "--truth-of names the frame whose poses are the truth."
-            raise InputError(self.where, f"it has no pose{of}.", cure)
+            raise InputError(self.where, what, cure)
         rows = self._rows_of_body()
         parents = sorted({self.parents[row] for row in rows})
         if len(parents) > 1:
@@ -70,7 +70,7 @@ class TruthPoses:
         return stamps_ns, np.array(self.T_world_child)[rows][first]
 
     def _rows_of_body(self) -> IntArray:
-        """Return which of the poses are those of the body that is wanted.
+        """Return which of the poses belong to the body that is wanted.
 
         Raises:
             InputError: they are of several bodies, and none of them is the one that is wanted.

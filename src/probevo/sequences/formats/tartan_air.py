@@ -78,8 +78,8 @@ def open_tartan_air(path: Path, *, rate_hz: float | None = None) -> StereoRecord
     if version is None:
         what = f"it has neither {' nor '.join(known.left for known in VERSIONS)}."
         raise InputError(path, what, "Give the folder of one trajectory, such as P000.")
-    left_files = _by_number(path / version.left)
-    right_files = _by_number(path / version.right)
+    left_files = _images_by_number(path / version.left)
+    right_files = _images_by_number(path / version.right)
     missing = sorted(left_files.keys() ^ right_files.keys())
     if missing:
         side = version.right if missing[0] in left_files else version.left
@@ -100,7 +100,7 @@ def open_tartan_air(path: Path, *, rate_hz: float | None = None) -> StereoRecord
     )
 
 
-def _by_number(folder: Path) -> dict[int, Path]:
+def _images_by_number(folder: Path) -> dict[int, Path]:
     """List the images of a folder by the number that their names begin with.
 
     Raises:
@@ -108,10 +108,10 @@ def _by_number(folder: Path) -> dict[int, Path]:
     """
     images: dict[int, Path] = {}
     for file in list_images(folder):
-        found = NUMBER.match(file.name)
-        if found is None or int(found[0]) in images:
+        number = NUMBER.match(file.name)
+        if number is None or int(number[0]) in images:
             raise InputError(file, "its number is missing, or that of another image.")
-        images[int(found[0])] = file
+        images[int(number[0])] = file
     return images
 
 

@@ -28,7 +28,7 @@ def open_tum_vi(path: Path, *, pair_tolerance_ms: float = PAIR_TOLERANCE_MS) -> 
 
     The lenses are fisheye lenses of 195°. The rectified pair keeps the focal length at the centre,
     and with it 107° of the view. Images of 16 bits are reduced to 8. The truth of the motion
-    capture is that of the IMU; outside of its room it is unknown.
+    capture is the IMU's; outside of its room it is unknown.
 
     Args:
         path: the folder that holds ``mav0`` and ``dso``.

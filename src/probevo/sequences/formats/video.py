@@ -68,7 +68,7 @@ def open_video(path: Path, options: VideoOptions | None = None) -> VideoRecordin
     """Open a video with the images side by side, or a folder with ``left`` and ``right`` videos.
 
     The calibration is the option, or ``calib.yaml`` beside the video or in the folder; both are
-    those of one of the two images. Times are those of the container, or at a rate. To find them,
+    those of one of the two images. Times are the container's, or at a rate. To find them,
     the videos are read once.
 
     Args:
@@ -231,10 +231,10 @@ def _two_files(folder: Path) -> tuple[Path, Path]:
     Raises:
         InputError: one is missing, or there are several.
     """
-    found = []
+    videos = []
     for side in ("left", "right"):
         wanted = {f"{side}{suffix}" for suffix in VIDEO_SUFFIXES}
-        # In capitals, too, but only the ending: some cameras write left.MP4.
+        # The ending may be in capitals: some cameras write left.MP4.
         files = [
             file for file in sorted(folder.iterdir()) if file.stem + file.suffix.lower() in wanted
         ]
@@ -242,8 +242,8 @@ def _two_files(folder: Path) -> tuple[Path, Path]:
             names = ", ".join(file.name for file in files) or "none"
             what = f"it should hold one video called {side}; found {names}."
             raise InputError(folder, what, f"Its ending is one of {', '.join(VIDEO_SUFFIXES)}.")
-        found.append(files[0])
-    return found[0], found[1]
+        videos.append(files[0])
+    return videos[0], videos[1]
 
 
 def _paired(path: Path, contents: list[_Content]) -> tuple[int, tuple[tuple[str, str], ...]]:

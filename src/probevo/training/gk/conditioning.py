@@ -30,22 +30,23 @@ LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
 hand."""
 MAX_COMMON = COMMON + AXES
-"""Largest number K of common-mode errors: those of the disparities, and of the rig's jitter."""
+"""Largest number K of common-mode errors: of the disparities, and of the rig's jitter."""
 
 
 class StepCorrelations(NamedTuple):
     """The ``StepCorrelation`` of each of K − 1 steps, filled up with zeros."""
 
     with_before: FloatArray
-    """[K − 1, 6, MAX_COMMON]."""
+    """Cross-covariance B of each step with the common errors before it, [K − 1, 6, MAX_COMMON]."""
     with_after: FloatArray
-    """[K − 1, 6, MAX_COMMON]."""
+    """Cross-covariance A of each step with the common errors after it, [K − 1, 6, MAX_COMMON]."""
     transition: FloatArray
-    """[K − 1, MAX_COMMON, MAX_COMMON]."""
+    """Cross-covariance Φ of the common errors before and after each step, [K − 1, MAX_COMMON,
+    MAX_COMMON]."""
 
     @staticmethod
     def none(num_steps: int) -> StepCorrelations:
-        """Return those of steps whose errors are independent."""
+        """Return the correlations of steps whose errors are independent: zeros."""
         return StepCorrelations(
             with_before=np.zeros((num_steps, 6, MAX_COMMON)),
             with_after=np.zeros((num_steps, 6, MAX_COMMON)),
@@ -54,17 +55,17 @@ class StepCorrelations(NamedTuple):
 
     @staticmethod
     def of(steps: Sequence[StepCorrelation]) -> StepCorrelations:
-        """Gather those of single steps."""
-        found = StepCorrelations.none(len(steps))
+        """Gather the correlations of single steps."""
+        gathered = StepCorrelations.none(len(steps))
         for k, step in enumerate(steps):
             before, after = step.transition.shape
-            found.with_before[k, :, :before] = step.with_before
-            found.with_after[k, :, :after] = step.with_after
-            found.transition[k, :before, :after] = step.transition
-        return found
+            gathered.with_before[k, :, :before] = step.with_before
+            gathered.with_after[k, :, :after] = step.with_after
+            gathered.transition[k, :before, :after] = step.transition
+        return gathered
 
     def between(self, first: int, end: int) -> StepCorrelations:
-        """Return those of the steps from ``first`` to before ``end``."""
+        """Return the correlations of the steps from ``first`` to before ``end``."""
         return StepCorrelations(
             with_before=self.with_before[first:end],
             with_after=self.with_after[first:end],
@@ -107,7 +108,7 @@ class Stretch:
             end: the step after the last one.
             T_world_cam: true poses at both ends of the stretch, [2, 4, 4].
         """
-        # From the last step backwards, so that each adjoint is that of the steps after it.
+        # From the last step backwards: each adjoint is the product over the steps after it.
         motions = T_curr_prev[first:end]
         T_last_k = np.eye(4)
         to_end = np.empty((len(motions), 6, 6))
@@ -214,8 +215,8 @@ def _cross_covariances(
     """Return the cross-covariance G_k of each step with the whole motion Σ Ad_j ξ_j, [m, 6, 6].
 
     B_k and A_k are the cross-covariances of step k with the common errors c before and after it,
-    Φ_k that of c before with c after it. With c after step k, let S_k = cov(Σ_{j≤k} Ad_j ξ_j, c)
-    and N_k = cov(c, Σ_{j>k} Ad_j ξ_j). One pass forwards and one backwards give
+    Φ_k the cross-covariance of c before with c after it. With c after step k, let S_k = cov(Σ_{j≤k}
+    Ad_j ξ_j, c) and N_k = cov(c, Σ_{j>k} Ad_j ξ_j). One pass forwards and one backwards give
 
         S_k = S_{k−1} Φ_k + Ad_k A_k
         N_{k−1} = B_kᵀ Ad_kᵀ + Φ_k N_k
@@ -264,9 +265,9 @@ def _estimated_truth_sigma(stretches: Sequence[Stretch]) -> FloatArray:
 def _sigma_beyond(variances: FloatArray, squared: FloatArray, least: float) -> float:
     """Estimate the σ of what deviations have in them beyond their own uncertainty, m or rad.
 
-    Variances add up, so that d²/(V + σ²) has the median of χ²(1). Each deviation is compared with
-    its own variance: those of a stereo camera's axes differ, and the median of a mixture is not
-    that of the variances in it.
+    Variances add up; hence d²/(V + σ²) has the median of χ²(1). Each deviation is compared with its
+    own variance: a stereo camera's axes have different variances, and the median of a mixture is
+    not the median for any of the variances in it.
 
     Args:
         variances: variance V of each deviation by itself, of any shape, m² or rad².
@@ -275,7 +276,8 @@ def _sigma_beyond(variances: FloatArray, squared: FloatArray, least: float) -> f
     """
 
     def excess(log_sigma: float) -> float:
-        """Return by how much the median exceeds that of χ²(1), given ln σ; it falls with σ."""
+        """Return by how much the median exceeds the median of χ²(1), given ln σ; it falls with
+        σ."""
         return float(np.median(squared / (variances + np.exp(2.0 * log_sigma)))) - MEDIAN_CHI2
 
     if excess(np.log(least)) <= 0.0:

@@ -32,7 +32,7 @@ class FeatureLikelihoods(NamedTuple):
     """How likely the residuals of N features are under a model."""
 
     features: IntArray
-    """Index of each feature among those of all drives, [N], without repetition."""
+    """Index of each feature among the features of all drives, [N], without repetition."""
     log_likelihood: FloatArray
     """Log density of each residual, [N], nats."""
 
@@ -55,7 +55,7 @@ class ErrorSamples:
     """Errors of N features to learn from, and how well the model explained them."""
 
     features: IntArray
-    """Index of each feature among those of all drives, [N]."""
+    """Index of each feature among the features of all drives, [N]."""
     phi: FloatArray
     """Place of each feature in the prediction space, [N, M]."""
     errors: FloatArray
@@ -63,7 +63,7 @@ class ErrorSamples:
     error_cov: FloatArray
     """Covariance of each error that the uncertainty of the motion causes, [N, 4, 4], px²."""
     groups: IntArray
-    """Block of time of each feature, [N]; the blocks of one drive follow those of another."""
+    """Block of time of each feature, [N]; the drives' blocks follow each other."""
     log_likelihood: FloatArray
     """Log density of each residual under the model, [N], nats."""
     profile: FloatArray
@@ -195,21 +195,21 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
         share=task.share,
         seed=(task.settings.odometry.seed, task.number),
     )
-    found = expectation.feature_errors
+    feature_errors = expectation.feature_errors
     num_steps = len(expectation.T_features_only)
     # Samples of one block of time are left out together in cross-validation: features that are
     # close in time have errors in common.
-    block = found.steps * task.blocks // max(num_steps, 1)
+    block = feature_errors.steps * task.blocks // max(num_steps, 1)
     gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
     return ErrorSamples(
-        features=task.first_feature + found.features,
-        phi=found.phi,
-        errors=found.errors,
-        error_cov=found.error_cov,
+        features=task.first_feature + feature_errors.features,
+        phi=feature_errors.phi,
+        errors=feature_errors.errors,
+        error_cov=feature_errors.error_cov,
         groups=task.number * BLOCKS_A_DRIVE + block,  # no drive has more blocks than that
-        log_likelihood=found.log_likelihood,
-        profile=found.profile,
-        jitter_moments=found.jitter_moments,
+        log_likelihood=feature_errors.log_likelihood,
+        profile=feature_errors.profile,
+        jitter_moments=feature_errors.jitter_moments,
         gaps_m=np.array([gap_m] if np.isfinite(gap_m) else []),
     )
 
@@ -241,7 +241,7 @@ def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
         distance, m; NaN if a pose at one end is unknown.
     """
     first, last = supervision.frames[[0, -1]]
-    # The end seen from the start, so that the world of the truth does not matter.
+    # The end seen from the start: the world of the truth does not matter.
     T_world_cam = se3.chain_motions(T_curr_prev)
     estimated = se3.inverse(T_world_cam[first]) @ T_world_cam[last]
     true = se3.inverse(supervision.T_world_cam[0]) @ supervision.T_world_cam[-1]

@@ -89,7 +89,7 @@ def expect(
 
     The truth is a Gaussian prior on the motion over each stretch of the supervision. Exact truth
     decides (GK-GT), no truth says nothing (GK-EM), and KITTI's truth, whose errors are larger
-    than those of the features, lies between. Stretches may be as long as the drive, but between
+    than the features', lies between. Stretches may be as long as the drive, but between
     solving the motions and computing the errors only motions and covariances are kept in memory.
 
     Args:
@@ -160,10 +160,10 @@ def feature_errors(
     rng: np.random.Generator,
 ) -> FeatureErrors:
     """Compute the errors of a drawn share of a drive's features at given motions."""
-    found = []
+    step_errors = []
     first_feature = 0
     for step in solved_steps(drive, predict, solver, posterior):
-        # Draw for all features of the step, so that the draw does not depend on the noise model.
+        # Draw for all features of the step: the draw must not depend on the noise model.
         is_drawn = rng.random(len(step.phi)) < share
         if step.estimate is not None:
             solution = step.estimate.solution
@@ -177,7 +177,7 @@ def feature_errors(
             # The profile in closed form holds only for tracks without a known past.
             profile = time_correlation_profile(solution, step.noise, kept)
             profile = profile.without_information(step.estimate.has_history[kept])
-            found.append(
+            step_errors.append(
                 FeatureErrors(
                     steps=np.full(len(kept), step.index),
                     features=first_feature + step.used[kept],
@@ -191,9 +191,9 @@ def feature_errors(
             )
         # Features are counted over all steps, solved or not.
         first_feature += len(step.phi)
-    if not found:
+    if not step_errors:
         return FeatureErrors.none(len(drive.facts.moments.mean))
-    return concatenated(found)
+    return concatenated(step_errors)
 
 
 def solved_steps(
@@ -214,7 +214,7 @@ def solved_steps(
         each step; without a solution if it has too few features, if these do not fix the motion, or
         if the given motion is not known.
     """
-    # ``index`` counts the steps of the drive, over all parts; ``number`` those of the recording.
+    # ``index`` counts the steps of the drive, over all parts; ``number`` the recording's steps.
     estimator: Estimator = TwoFrameEstimator(drive.camera, solver)
     disparities = DisparityFilter.none()
     previous_number = -1

@@ -10,7 +10,7 @@ Each iteration has two steps:
 If the truth is exact, the motions are known, and one iteration suffices (PROBE-GK Alg. 1). The
 noise starts as the static Student-t, which is itself fitted by EM. This is EM in spirit: motions
 enter as Gaussians around the solve, errors of single observations by a fixed point, and the gyro
-does not contribute. The likelihood of an iteration is that of the residuals at its motions.
+does not contribute. The likelihood of an iteration is the residuals' at its motions.
 """
 
 from __future__ import annotations
@@ -74,13 +74,13 @@ def learn_student_t(context: TrainingContext) -> StudentT:
             model = stored
         else:
             model, likelihoods = _iterated(context, model, learns_time_correlation=has_correlation)
-            # They are those of the model before the iteration: the first one with time correlation
-            # evaluates the last model without.
+            # The likelihoods belong to the model before the iteration: the first iteration with
+            # time correlation evaluates the last model without.
             if number == STATIC_ITERATIONS:
                 without = likelihoods
             if has_correlation and number == last:
                 if without is None:
-                    # That iteration was done before the training was stopped and resumed.
+                    # The iteration was done before the training was stopped and resumed.
                     without = _errors_under(context, uncorrelated, _unreported).likelihoods
                 gain = likelihoods.gain_over(without)
                 model.training = {**model.training, "time_correlation_gain": gain}
@@ -92,7 +92,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
 def _iterated(
     context: TrainingContext, previous: StudentT, *, learns_time_correlation: bool
 ) -> tuple[StudentT, FeatureLikelihoods]:
-    """Return the model after one EM iteration, and the likelihoods of the features under the one
+    """Return the model after one EM iteration, and the likelihoods of the features under the model
     before."""
     # E-step: motions given the noise, and the errors of the features at these motions.
     samples = _errors_under(context, previous, context.progress.within_iteration)
@@ -100,7 +100,7 @@ def _iterated(
     model = copy(previous)
     factors = recording_factors(previous.training, len(context.drives))
     factors = fit_with_factors(model, samples, factors)
-    model.scale_is_relative_ = True  # that of a new recording is not known
+    model.scale_is_relative_ = True  # the size of a new recording's errors is not known
     model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
     if learns_time_correlation:
         model.time_correlation_ratio_ = updated_time_correlation(

@@ -68,7 +68,7 @@ def errors_of(
         chosen: which features are wanted, [m].
 
     Returns:
-        errors [m, 4], px; their covariance by that of ``common``, [m, 4, 4], px²; log density of
+        errors [m, 4], px; their covariance by the one of ``common``, [m, 4, 4], px²; log density of
         the residuals, [m], nats.
     """
     count = len(chosen)
@@ -84,9 +84,9 @@ def errors_of(
         squared=np.empty(count),
         log_det=np.empty(count),
     )
-    # Whitened by Σ, and coloured by R if the noise is that of single observations. EM is then an
+    # Whitened by Σ, and coloured by R if the noise refers to single observations. EM is then an
     # iteration to a fixed point: where R is right, R^½ Σ^-½ e has the scale R.
     rescale_errors(features, common.mean, common.cov, noise.refers_to == "observation", out)
-    # The likelihood is that of the residual, not of the rescaled error.
+    # The likelihood is the residual's, not the rescaled error's.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])
     return out.errors + noise.bias[chosen], out.error_cov, log_likelihood

@@ -31,20 +31,20 @@ class CommonUnknowns(NamedTuple):
     """Derivative of the prediction by (ξ, η, c), [N, 4, K]; K is 6 for ξ, and 6 more for each of η
     and c, if the noise has a jitter and a time-correlated error."""
     mean: FloatArray
-    """Their mean beside the solution, [K]: 0 but for c, and what it changes of η."""
+    """Mean of (ξ, η, c) beside the solution, [K]: 0 but for c, and what it changes of η."""
     cov: FloatArray
-    """Their covariance, [K, K]."""
+    """Covariance of (ξ, η, c), [K, K]."""
 
     @staticmethod
     def of(estimate: TwoFrameEstimate, motion_cov: FloatArray) -> CommonUnknowns:
-        """Build them from an estimate at a given motion, and the covariance of that, [6, 6]."""
+        """Build them from an estimate at a given motion, and the motion's covariance, [6, 6]."""
         if estimate.common is not None:
             return CommonUnknowns(*estimate.common)
         solution = estimate.solution
         if solution.jitter is None:
             return CommonUnknowns(solution.jacobian, np.zeros(MOTION_DIM), motion_cov)
-        # η = gain ξ + an independent rest. With G the gain, C the covariance of ξ and V that of the
-        # rest, the joint covariance is [[C, C Gᵀ], [G C, V + G C Gᵀ]].
+        # η = gain ξ + an independent rest. With G the gain, C the covariance of ξ and V the rest's,
+        # the joint covariance is [[C, C Gᵀ], [G C, V + G C Gᵀ]].
         gain, rest = _given_motion(solution.jitter)
         cross = gain @ motion_cov
         cov = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
@@ -53,12 +53,12 @@ class CommonUnknowns(NamedTuple):
     def second_moment(self, jitter: SolvedJitter) -> FloatArray:
         """Return E[(ω' − ω°)(ω' − ω°)ᵀ] of the jitter's change, [3, 3], rad²."""
         unknown = jitter.unknown
-        # ω' − ω° = L' η' − (m + L° η°), so that E[Δ Δᵀ] is its mean squared plus its covariance.
+        # ω' − ω° = L' η' − (m + L° η°): E[Δ Δᵀ] is its mean squared plus its covariance.
         change = np.hstack([unknown.curr_root, -unknown.prev.root])
-        of_jitter = slice(MOTION_DIM, MOTION_DIM + len(jitter.eta))
-        mean = change @ (jitter.eta + self.mean[of_jitter]) - unknown.prev.mean
+        jitter_block = slice(MOTION_DIM, MOTION_DIM + len(jitter.eta))
+        mean = change @ (jitter.eta + self.mean[jitter_block]) - unknown.prev.mean
         moment: FloatArray = np.outer(mean, mean)
-        return moment + change @ self.cov[of_jitter, of_jitter] @ change.T
+        return moment + change @ self.cov[jitter_block, jitter_block] @ change.T
 
 
 def learned_covariance(second_moments: FloatArray) -> FloatArray:
@@ -69,7 +69,7 @@ def learned_covariance(second_moments: FloatArray) -> FloatArray:
 
 
 def initial_covariance() -> FloatArray:
-    """Return the initial S, [3, 3], rad²: that of an unknown rig."""
+    """Return the initial S, [3, 3], rad²: the prior for unknown rigs."""
     return RigJitter.initial().cov
 
 
@@ -83,7 +83,7 @@ def _given_motion(jitter: SolvedJitter) -> tuple[FloatArray, FloatArray]:
         return np.zeros((6, MOTION_DIM)), np.eye(6)
     # Condition the joint Gaussian on ξ: the gain is Σ_ηξ Σ_ξξ⁻¹, and what remains of the covariance
     # is Σ_ηη − Σ_ηξ Σ_ξξ⁻¹ Σ_ξη.
-    of_motion = cov[:MOTION_DIM, :MOTION_DIM]
+    motion_cov = cov[:MOTION_DIM, :MOTION_DIM]
     cross = cov[:MOTION_DIM, MOTION_DIM:]
-    gain: FloatArray = np.linalg.solve(of_motion, cross).astype(float).T
+    gain: FloatArray = np.linalg.solve(motion_cov, cross).astype(float).T
     return gain, cov[MOTION_DIM:, MOTION_DIM:] - gain @ cross

@@ -59,7 +59,7 @@ def check_kernel_settings(settings: TrainSettings) -> None:
         raise InputError(
             f"--gk.truth-sigma-{given[0]}", "--supervision none uses no truth.", "Leave it out."
         )
-    # As published, the kernel has a fixed support and an inverse-Wishart prior.
+    # The published kernel has a fixed support and an inverse-Wishart prior.
     if kernel.variant == "published":
         _check_published(kernel)
     # Alignment weighs the points of both frames, and so needs the noise of each observation.

@@ -2,8 +2,8 @@
 
 Recordings differ in light, blur and texture, and so in the size of their errors. A single Student-t
 for all would take these differences for heavy tails, and then trust outliers too much in each of
-them. So the variances of the model are multiplied by a factor for each recording. That of a new one
-is learned by the odometry, while it runs (``estimation.noise_scale``).
+them. So the variances of the model are multiplied by a factor for each recording. The odometry
+learns the factor of a new one while it runs (``estimation.noise_scale``).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ SCALE_ITERATIONS = 20
 
 def recording_factors(training: Mapping[str, Any], num_recordings: int) -> FloatArray:
     """Return the factors that a training has found so far, [D]; 1 before its first iteration."""
-    found = training.get("recording_factors")
-    return np.ones(num_recordings) if found is None else np.array(found)
+    factors = training.get("recording_factors")
+    return np.ones(num_recordings) if factors is None else np.array(factors)
 
 
 def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray) -> FloatArray:
@@ -46,11 +46,11 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
         return factors
     counts = np.bincount(samples.drives, minlength=len(factors))
     for _ in range(ROUNDS):
-        of_feature = factors[samples.drives]
+        feature_factors = factors[samples.drives]
         model.fit(
             samples.phi,
-            samples.errors / np.sqrt(of_feature)[:, None],
-            error_cov=samples.error_cov / of_feature[:, None, None],
+            samples.errors / np.sqrt(feature_factors)[:, None],
+            error_cov=samples.error_cov / feature_factors[:, None, None],
         )
         factors = _likeliest_factors(model, samples, factors)
         factors = factors / np.exp(np.average(np.log(factors), weights=counts))
@@ -66,13 +66,13 @@ def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArr
     # eᵀ Σ⁻¹ e, and its expectation over what is uncertain of e
     squared = np.einsum("ni,ij,nj->n", samples.errors, inverse, samples.errors)
     squared += np.einsum("ij,nji->n", inverse, samples.error_cov)
-    found = factors.copy()
+    likeliest = factors.copy()
     for drive in np.unique(samples.drives):
-        of_drive = squared[samples.drives == drive]
+        drive_squared = squared[samples.drives == drive]
         factor = factors[drive]
         # Weighted mean of the squares, with the weights of a Student-t (PX-EM)
         for _ in range(SCALE_ITERATIONS):
-            weights = (model.dof_ + DIM) / (model.dof_ + of_drive / factor)
-            factor = np.average(of_drive, weights=weights) / DIM
-        found[drive] = factor
-    return found
+            weights = (model.dof_ + DIM) / (model.dof_ + drive_squared / factor)
+            factor = np.average(drive_squared, weights=weights) / DIM
+        likeliest[drive] = factor
+    return likeliest

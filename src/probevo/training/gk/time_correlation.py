@@ -88,7 +88,7 @@ def time_correlation_profile(
     direction[:, 2] -= 1.0
     direction *= np.sqrt(variance)[:, None]
 
-    # Σ⁻¹ m of each feature, and from it a and b; s is that of the solution.
+    # Σ⁻¹ m of each feature, and from it a and b; s is the solution's.
     white = np.einsum("nij,nj->ni", information, direction)
     s = solution.squared[chosen]
     a = np.sum(white * e, axis=1)

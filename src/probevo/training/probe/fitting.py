@@ -35,7 +35,7 @@ def fit_model(
     neighbors = settings.neighbors
     exponent = settings.exponent
 
-    # The mean over neighbours is that of α, or of its logarithm.
+    # Neighbours are averaged in α, or in its logarithm.
     coordinates = np.concatenate([sampler.coordinates for sampler in samplers])[samples.features]
     is_logarithmic = settings.average == "geometric"
     values = np.log(samples.alphas) if is_logarithmic else samples.alphas

@@ -22,7 +22,7 @@ class Samples:
     """The N samples of all drives."""
 
     features: IntArray
-    """Index of the feature among those of all drives, one drive after another, [N]."""
+    """Index of the feature among the features of all drives, one drive after another, [N]."""
     alphas: FloatArray
     """Error α of each sample, [N]: in metres, or relative to the mean over the same stretch."""
     fold_by_time: IntArray

@@ -96,16 +96,16 @@ def out_of_fold(
         fold: fold of each sample, [N].
         neighbors: K.
         queries: points at which to predict, [n, M].
-        fold_of_query: fold of each, whose samples are left out, [n].
+        fold_of_query: fold of each query, whose samples are left out, [n].
     """
     means = np.empty(len(queries))
     for k in np.unique(fold_of_query):
         is_other = fold != k
         index = NeighborIndex.build(coordinates[is_other], values[is_other])
-        in_fold = fold_of_query == k
+        is_in_fold = fold_of_query == k
         num_neighbors = min(neighbors, int(is_other.sum()))
-        nearest = index.mean_of_nearest(queries[in_fold], np.array([num_neighbors]))
-        means[in_fold] = nearest[:, 0]
+        nearest = index.mean_of_nearest(queries[is_in_fold], np.array([num_neighbors]))
+        means[is_in_fold] = nearest[:, 0]
     return means
 
 
@@ -132,8 +132,8 @@ def choose_exponent(
         for sampler, log_alpha in zip(samplers, log_relative_alphas, strict=True):
             # β = (ᾱ_K/ᾱ)^γ, bounded as in the model
             beta = np.exp(np.clip(gamma * log_alpha, -MAX_LOG_WEIGHT, MAX_LOG_WEIGHT))
-            by_halves = not (has_errors and _num_errors(sampler))
-            alphas_of_drives.append(_alphas(sampler, beta, by_halves=by_halves))
+            compares_halves = not (has_errors and _num_errors(sampler))
+            alphas_of_drives.append(_alphas(sampler, beta, compares_halves=compares_halves))
         rows.append(np.concatenate(alphas_of_drives))
     alphas = np.array(rows)
 
@@ -164,20 +164,20 @@ def _num_errors(sampler: SubsetSampler) -> int:
     return count if supervision.kind != "none" and count > 1 else 0
 
 
-def _alphas(sampler: SubsetSampler, beta: FloatArray, *, by_halves: bool) -> FloatArray:
+def _alphas(sampler: SubsetSampler, beta: FloatArray, *, compares_halves: bool) -> FloatArray:
     """Return the errors α of a drive that is solved with these β, [n].
 
     There is one a stretch, or one a step where two halves of the features are compared.
     """
     used = sampler.drive.used
-    if not by_halves:
+    if not compares_halves:
         return sampler.supervision.errors(weighted_motions(sampler, beta, used))
     # Compare two random halves, the same for all candidates.
     rng = np.random.default_rng([*sampler.seed, Stream.HALVES])
     half = rng.random(len(beta)) < 0.5
-    one = weighted_motions(sampler, beta, used & half)
-    other = weighted_motions(sampler, beta, used & ~half)
-    return from_step_to_step(other).errors(one)
+    first_half = weighted_motions(sampler, beta, used & half)
+    second_half = weighted_motions(sampler, beta, used & ~half)
+    return from_step_to_step(second_half).errors(first_half)
 
 
 def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) -> FloatArray:
@@ -200,7 +200,7 @@ def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) 
         chosen = np.flatnonzero(used[rows])
         if len(chosen) < sampler.solver.min_tracks:
             continue
-        # The covariance of each feature is that of the static model times β.
+        # The covariance of each feature is the static model's times β.
         base = sampler.base.predict(np.zeros((len(chosen), 0)))
         solution = estimator.solve(
             drive.tracks(step).subset(chosen),

@@ -132,7 +132,7 @@ class SubsetSampler:
 
         Args:
             used: features of the step to draw from, counted from its first, [n].
-            rows: the step's features among those of the drive.
+            rows: the step's features among the drive's.
             direction: direction in the prediction space in which the subset leans, [M].
             key: numbers of iteration and step.
         """

@@ -138,7 +138,7 @@ def _country(route: Route, end_m: float, rng: np.random.Generator) -> list[Solid
         lateral_m = side * rng.uniform(_PAVED_M + 2.2, _PAVED_M + 6.0)
         objects.append(_along(route, tuft, s, lateral_m=lateral_m))
 
-    # In the fields.
+    # Objects in the fields.
     for s, side in _scatter(end_m + 100.0, 22.0, rng):
         lateral_m = side * rng.choice([rng.uniform(18.0, 35.0), rng.uniform(35.0, 90.0)])
         for _ in range(rng.integers(1, 4)):

@@ -119,7 +119,7 @@ def traffic(
     path = _path(route, plan)
     crowd: list[_Mover] = []
     for stream in street.streams:
-        crowd += _in_stream(stream, route, path, rng=rng)
+        crowd += _stream_movers(stream, route, path, rng=rng)
     crowd += _ahead(street, plan, rng)
     crowd += _crossing(street, path, rng)
     crowd = [mover for mover in crowd if mover.rank < strength]
@@ -235,7 +235,7 @@ _STREETS: dict[PresetName, Callable[[DrivePlan], Street]] = {
 
 
 def _path(route: Route, plan: DrivePlan) -> _Path:
-    """Return the planned path: that of one drive, projected onto the planned lane."""
+    """Return the planned path: one drive's path, projected onto the planned lane."""
     trajectory = Trajectory.along(route, plan, np.random.default_rng(0))
     t_s = np.arange(0.0, trajectory.duration_s + _TIME_STEP_S, _TIME_STEP_S)
     s_m = route.nearest(trajectory.T_world_cam(t_s)[:, :2, 3])[0]
@@ -244,15 +244,17 @@ def _path(route: Route, plan: DrivePlan) -> _Path:
     return _Path(t_s, s_m, route.place(s_m, plan.lateral_m))
 
 
-def _in_stream(stream: Stream, route: Route, path: _Path, rng: np.random.Generator) -> list[_Mover]:
+def _stream_movers(
+    stream: Stream, route: Route, path: _Path, rng: np.random.Generator
+) -> list[_Mover]:
     """Draw the movers of a stream, as many as ever come into sight."""
     # At each time the mover beside the camera started here; in sight are those around and ahead.
     slowest_m_s, fastest_m_s = stream.speed_m_s
     least_gap_m, most_gap_m = stream.gap_m
     speed = rng.uniform(slowest_m_s, fastest_m_s)
-    at_start_m = path.s_m - speed * path.t_s
-    s = at_start_m.min() - 10.0
-    end = at_start_m.max() + _SIGHT_M
+    start_m = path.s_m - speed * path.t_s
+    s = start_m.min() - 10.0
+    end = start_m.max() + _SIGHT_M
     if route.closed:  # the last must not run into the first
         end = min(end, s + route.length_m - most_gap_m - 10.0)
     movers = []
@@ -292,9 +294,9 @@ def _crossing(street: Street, path: _Path, rng: np.random.Generator) -> list[_Mo
         s = path.s_m[when] + rng.uniform(8.0, 18.0)
         lateral = rng.uniform(-4.0, 4.0)
         solids = street.crossers[rng.integers(len(street.crossers))](rng)
-        # At that time it crosses the road, so at time 0 it was this far to the left.
-        at_start_m = lateral - speed * path.t_s[when]
-        movers.append(_Mover(solids, s, at_start_m, rank=next(ranks), lateral_speed_m_s=speed))
+        # It crosses the road at this time, and so was this far to the left at time 0.
+        start_lateral_m = lateral - speed * path.t_s[when]
+        movers.append(_Mover(solids, s, start_lateral_m, rank=next(ranks), lateral_speed_m_s=speed))
     return movers
 
 

@@ -164,14 +164,14 @@ def _doors(rng: np.random.Generator, length: float, depth: float) -> list[Solids
     """
     shop = (0.3 * length, depth + 0.16, 2.2)
     board = (rng.uniform(1.5, 4.0), depth + 0.5, 0.6)
-    at_shop = rng.uniform(-0.32, -0.2) * length
-    at_door = rng.uniform(0.0, 0.15) * length
-    at_board = rng.uniform(-0.3, 0.3) * length
+    shop_m = rng.uniform(-0.32, -0.2) * length
+    door_m = rng.uniform(0.0, 0.15) * length
+    board_m = rng.uniform(-0.3, 0.3) * length
     return [
         solid(
             BOX,
             shop,
-            (at_shop, 0, 1.5),
+            (shop_m, 0, 1.5),
             texture=Texture.FACADE_OFFICE,
             tile_m=(1.6 * shop[0], 4 * shop[2]),
             albedo=0.4,
@@ -179,7 +179,7 @@ def _doors(rng: np.random.Generator, length: float, depth: float) -> list[Solids
         solid(
             BOX,
             (1.3, depth + 0.16, 2.5),
-            (at_door, 0, 1.25),
+            (door_m, 0, 1.25),
             texture=Texture.FACADE_HOUSE,
             tile_m=(9.0, 6.0),
             shift_m=(4.0, 0.3),
@@ -187,7 +187,7 @@ def _doors(rng: np.random.Generator, length: float, depth: float) -> list[Solids
         solid(
             BOX,
             board,
-            (at_board, 0, 3.0),
+            (board_m, 0, 3.0),
             texture=Texture.SIGN,
             tile_m=(0.5 * board[0], board[2]),
             albedo=0.4,
