@@ -55,7 +55,7 @@ from probevo.estimation.disparity_filter_numba import (
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
-from probevo.measurements.jitter_numba import AXES
+from probevo.measurements.jitter_numba import JITTER_DIM
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -91,7 +91,7 @@ class StackedErrors(NamedTuple):
     @staticmethod
     def of(jitter: SolvedJitter | None) -> StackedErrors:
         """Return the places for a solve with this jitter, or without any."""
-        axes = 0 if jitter is None else AXES
+        axes = 0 if jitter is None else JITTER_DIM
         return StackedErrors(
             motion=slice(0, 6),
             curr_jitter=slice(6, 6 + axes),
@@ -466,7 +466,7 @@ def _update(
     common = common_mode.sensitivity[ahead]
     jitter = common_mode.jitter
     if jitter is not None:
-        jitter = jitter._replace(sensitivity=common[:, :, :AXES])
+        jitter = jitter._replace(sensitivity=common[:, :, :JITTER_DIM])
     curr_px = tracks.curr_px[kept]
     return DisparityFilter(
         ids=tracks.ids[kept],
@@ -682,11 +682,11 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
         prior, without the sensitivity of the tracks.
     """
     # root = L Dᵀ with L triangular and Dᵀ D = I: L is the root of the covariance, D the directions.
-    lower = np.empty((AXES, AXES))
-    directions = np.empty((root.shape[1], AXES))
+    lower = np.empty((JITTER_DIM, JITTER_DIM))
+    directions = np.empty((root.shape[1], JITTER_DIM))
     if not split_rows(root, lower, directions):
         raise np.linalg.LinAlgError("the covariance of the jitter is singular")
-    return directions, JitterPrior(mean, lower, np.zeros((0, 2, AXES)))
+    return directions, JitterPrior(mean, lower, np.zeros((0, 2, JITTER_DIM)))
 
 
 def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:

@@ -14,7 +14,7 @@ from probevo.estimation.scaled_inverse import inverse_or_nan
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.base import Measurement
-from probevo.measurements.jitter_numba import AXES, DOF
+from probevo.measurements.jitter_numba import JITTER_DIM, JITTER_PAIR_DIM
 from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
 
@@ -43,14 +43,14 @@ class SolvedJitter:
     @property
     def curr_rad(self) -> FloatArray:
         """The jitter of the current frame, [3], rad."""
-        mean: FloatArray = self.unknown.curr_root @ self.eta[:AXES]
+        mean: FloatArray = self.unknown.curr_root @ self.eta[:JITTER_DIM]
         return mean
 
     @property
     def prev_rad(self) -> FloatArray:
         """The jitter of the previous frame, [3], rad."""
         prev = self.unknown.prev
-        mean: FloatArray = prev.mean + prev.root @ self.eta[AXES:]
+        mean: FloatArray = prev.mean + prev.root @ self.eta[JITTER_DIM:]
         return mean
 
 
@@ -174,7 +174,7 @@ def solve_reprojection(
     # The rig's jitter is a further unknown, with its prior in the observations.
     unknown = observations.jitter
     if unknown is not None:
-        values[unknown.variable] = np.zeros(DOF) if eta is None else eta
+        values[unknown.variable] = np.zeros(JITTER_PAIR_DIM) if eta is None else eta
         free.append(unknown.variable)
     optimum = levenberg_marquardt.minimize(
         [observations, *others], values, free, max_iterations=max_iterations if free else 0

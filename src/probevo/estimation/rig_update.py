@@ -28,7 +28,7 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter
 from probevo.estimation.rig_update_numba import disparity_sensitivities
 from probevo.estimation.velocity_change import ChangeUnknown
-from probevo.measurements.jitter_numba import DOF
+from probevo.measurements.jitter_numba import JITTER_PAIR_DIM
 from probevo.tracking.tracks import Tracks
 
 _FIELD = slice(3, 3 + NUM_COEFFICIENTS)
@@ -173,7 +173,7 @@ def _updated_rig(
     updated = replace(updated, focal=focal)
     if solution.jitter is not None and solution.exceeds_noise:
         jitter = _updated_jitter(
-            rig.jitter, solution.jitter, eliminated.step[6 : 6 + DOF], novelty=novelty
+            rig.jitter, solution.jitter, eliminated.step[6 : 6 + JITTER_PAIR_DIM], novelty=novelty
         )
         updated = replace(updated, jitter=jitter)
     return updated

@@ -20,7 +20,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST, Intrinsics
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.disparity_filter_numba import COMMON
-from probevo.measurements.jitter_numba import AXES, DOF
+from probevo.measurements.jitter_numba import JITTER_DIM, JITTER_PAIR_DIM
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -113,12 +113,12 @@ class TrackFactors:
         # Measured are s − V c and f(T s) − V_δ c + B η', with V the effect of c, or of η°, on (s,
         # δ). The derivatives take that out of the residual, which is predicted minus measured.
         jitter = observations.jitter
-        common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + DOF))
+        common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + JITTER_PAIR_DIM))
         common[history.states.rows, _D, :COMMON] = -history.common_without_jitter[:, 0]
         common[history.states.rows, _U_R, :COMMON] = -history.common_without_jitter[:, 1]
         if jitter is not None:
-            curr = slice(COMMON, COMMON + AXES)
-            prev = slice(COMMON + AXES, COMMON + DOF)
+            curr = slice(COMMON, COMMON + JITTER_DIM)
+            prev = slice(COMMON + JITTER_DIM, COMMON + JITTER_PAIR_DIM)
             common[:, _U_R:, curr] = jitter.effects.basis
             common[:, _POINT, prev] = -jitter.effects.sensitivity[:, :3]
             common[:, _U_R, prev] = -jitter.effects.sensitivity[:, 3]

@@ -28,9 +28,9 @@ from probevo.measurements.stereo_numba import (
     propagate_noise,
 )
 
-AXES = 3
+JITTER_DIM = 3
 """Degrees of freedom of the jitter in one frame: pitch, yaw, roll."""
-DOF = 2 * AXES
+JITTER_PAIR_DIM = 2 * JITTER_DIM
 """Dimension of η: the jitter of the current frame, then that of the previous one."""
 
 
@@ -62,10 +62,10 @@ class LinearizedJitter(NamedTuple):
     def empty(count: int) -> LinearizedJitter:
         """Return uninitialised arrays for N features."""
         return LinearizedJitter(
-            columns=np.empty((count, 4, DOF)),
-            white=np.empty((count, 4, DOF)),
-            square=np.empty((count, DOF, DOF)),
-            prev_eta=np.empty(AXES),
+            columns=np.empty((count, 4, JITTER_PAIR_DIM)),
+            white=np.empty((count, 4, JITTER_PAIR_DIM)),
+            square=np.empty((count, JITTER_PAIR_DIM, JITTER_PAIR_DIM)),
+            prev_eta=np.empty(JITTER_DIM),
             curr=np.empty((count, 4)),
         )
 
@@ -90,7 +90,10 @@ class JitterEquations(NamedTuple):
     @staticmethod
     def empty() -> JitterEquations:
         """Return uninitialised arrays."""
-        return JitterEquations(hessian=np.empty((6 + DOF, 6 + DOF)), gradient=np.empty(6 + DOF))
+        return JitterEquations(
+            hessian=np.empty((6 + JITTER_PAIR_DIM, 6 + JITTER_PAIR_DIM)),
+            gradient=np.empty(6 + JITTER_PAIR_DIM),
+        )
 
 
 @compiled
@@ -115,17 +118,17 @@ def jitter_effects(
         prev_root: L° of the previous frame, [3, 3], rad.
         gain: K, [N, 3, 4].
     """
-    basis = np.empty((len(prev), 2, AXES))
-    sensitivity = np.empty((len(prev), 4, AXES))
-    offset = np.empty((2, AXES))
-    moved = np.empty((2, AXES))
+    basis = np.empty((len(prev), 2, JITTER_DIM))
+    sensitivity = np.empty((len(prev), 4, JITTER_DIM))
+    offset = np.empty((2, JITTER_DIM))
+    moved = np.empty((2, JITTER_DIM))
     for n in range(len(prev)):
         # G of the place in the right image, ∂(u_r, v_r)/∂ω, [2, 3]: B = G' L', and G° L°.
         right_offset(camera, curr[n, 2], curr[n, 3], offset)
         _product(offset, curr_root, basis[n])
         right_offset(camera, prev[n, 2], prev[n, 3], offset)
         _product(offset, prev_root, moved)
-        for k in range(AXES):
+        for k in range(JITTER_DIM):
             # K applied to (0, 0, δu_r, δv_r): the jitter moves the right observation only.
             for i in range(3):
                 sensitivity[n, i, k] = -gain[n, i, 2] * moved[0, k] - gain[n, i, 3] * moved[1, k]
@@ -137,7 +140,7 @@ def jitter_effects(
 def _product(offset: FloatArray, root: FloatArray, product: FloatArray) -> None:
     """Fill in offset · root, [2, 3] by [3, 3]."""
     for r in range(2):
-        for k in range(AXES):
+        for k in range(JITTER_DIM):
             product[r, k] = (
                 offset[r, 0] * root[0, k] + offset[r, 1] * root[1, k] + offset[r, 2] * root[2, k]
             )
@@ -173,7 +176,7 @@ def jitter_columns(
         x = X / Z
         y = Y / Z
         d = fb * rho / Z
-        for k in range(AXES):
+        for k in range(JITTER_DIM):
             # B: the jitter of the current frame moves u_r and v_r.
             columns[n, 2, k] = basis[n, 0, k]
             columns[n, 3, k] = basis[n, 1, k]
@@ -189,10 +192,10 @@ def jitter_columns(
             u_move = fu * (move[0] - x * move[2])
             v_move = fv * (move[1] - y * move[2])
             d_move = sensitivity[n, 2, k] / Z - d * move[2]
-            columns[n, 0, AXES + k] = u_move
-            columns[n, 1, AXES + k] = v_move
-            columns[n, 2, AXES + k] = u_move - d_move - sensitivity[n, 3, k]
-            columns[n, 3, AXES + k] = v_move
+            columns[n, 0, JITTER_DIM + k] = u_move
+            columns[n, 1, JITTER_DIM + k] = v_move
+            columns[n, 2, JITTER_DIM + k] = u_move - d_move - sensitivity[n, 3, k]
+            columns[n, 3, JITTER_DIM + k] = v_move
 
 
 @compiled
@@ -233,8 +236,8 @@ def propagate_with_jitter(
         for r in range(2):
             B = effects.basis[n, r]
             curr[n, 2 + r] -= B[0] * eta[0] + B[1] * eta[1] + B[2] * eta[2]
-    for k in range(AXES):
-        jitter.prev_eta[k] = eta[AXES + k]
+    for k in range(JITTER_DIM):
+        jitter.prev_eta[k] = eta[JITTER_DIM + k]
     moved = PointPairs(point, pairs.point_cov, curr, pairs.curr_scale)
     propagate_noise(at.T, camera, moved, propagated)
     jitter_columns(
@@ -258,14 +261,14 @@ def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray)
     """
     for i in range(4):
         row_v = W[i, 1] + W[i, 3]
-        for k in range(AXES):
+        for k in range(JITTER_DIM):
             white[i, k] = W[i, 2] * D[2, k] + W[i, 3] * D[3, k]
-        for k in range(AXES, DOF):
+        for k in range(JITTER_DIM, JITTER_PAIR_DIM):
             white[i, k] = W[i, 0] * D[0, k] + row_v * D[1, k] + W[i, 2] * D[2, k]
-    for k in range(AXES):
+    for k in range(JITTER_DIM):
         for j in range(k + 1):
             square[k, j] = D[2, k] * white[2, j] + D[3, k] * white[3, j]
-    for k in range(AXES, DOF):
+    for k in range(JITTER_DIM, JITTER_PAIR_DIM):
         for j in range(k + 1):
             row_v = white[1, j] + white[3, j]
             square[k, j] = D[0, k] * white[0, j] + D[1, k] * row_v + D[2, k] * white[2, j]
@@ -275,14 +278,14 @@ def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray)
 def subtract_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArray) -> None:
     """Fill ``shifted`` [N, 4] with y' − D η, where η° counts from its value at the
     linearisation."""
-    change = np.empty(DOF)
-    for k in range(AXES):
+    change = np.empty(JITTER_PAIR_DIM)
+    for k in range(JITTER_DIM):
         change[k] = eta[k]  # ``jitter.curr`` is that of η' = 0
-        change[AXES + k] = eta[AXES + k] - jitter.prev_eta[k]
+        change[JITTER_DIM + k] = eta[JITTER_DIM + k] - jitter.prev_eta[k]
     for n in range(len(shifted)):
         for r in range(4):
             offset = 0.0
-            for k in range(DOF):
+            for k in range(JITTER_PAIR_DIM):
                 offset += jitter.columns[n, r, k] * change[k]
             shifted[n, r] = jitter.curr[n, r] - offset
 
@@ -314,10 +317,10 @@ def _set_jitter(
     ``curr`` [N, 4] are the observations minus D η, at whose residuals the weights are taken.
     """
     fu, fv, cu, cv, fb = camera
-    pull = np.empty(DOF)
-    cross = np.zeros((6, DOF))
-    square = np.zeros((DOF, DOF))
-    gradient = np.zeros(DOF)
+    pull = np.empty(JITTER_PAIR_DIM)
+    cross = np.zeros((6, JITTER_PAIR_DIM))
+    square = np.zeros((JITTER_PAIR_DIM, JITTER_PAIR_DIM))
+    gradient = np.zeros(JITTER_PAIR_DIM)
     for n in range(len(curr)):
         W = propagated.information[n]
         X, Y, Z, rho = move_point(T, camera, propagated.refined[n])
@@ -334,7 +337,7 @@ def _set_jitter(
         e1 = weight * (curr[n, 1] - (v + cv) - propagated.offset[n, 1])
         e2 = weight * (curr[n, 2] - (u - d + cu) - propagated.offset[n, 2])
         e3 = weight * (curr[n, 3] - (v + cv) - propagated.offset[n, 3])
-        for k in range(DOF):
+        for k in range(JITTER_PAIR_DIM):
             pull[k] = white[0, k] * e0 + white[1, k] * e1 + white[2, k] * e2 + white[3, k] * e3
             gradient[k] += pull[k]
         # As in ``normal_equations``, the rows of F = ∂f/∂q are u_l (u_x, 0, u_z),
@@ -358,7 +361,7 @@ def _set_jitter(
             q0 = u_x * (g0 + g2)
             q1 = v_y * (g1 + g3)
             q2 = u_z * g0 + v_z * (g1 + g3) + r_z * g2
-        for k in range(DOF):
+        for k in range(JITTER_PAIR_DIM):
             bent = bend * pull[k]
             w0 = weight * white[0, k]
             w1 = weight * (white[1, k] + white[3, k])
@@ -376,7 +379,7 @@ def _set_jitter(
             for j in range(k + 1):
                 square[k, j] += weight * jitter.square[n, k, j] - bent * pull[j]
     _set_blocks(cross, square, equations.hessian)
-    for k in range(DOF):
+    for k in range(JITTER_PAIR_DIM):
         equations.gradient[6 + k] = gradient[k]
 
 
@@ -386,7 +389,7 @@ def _set_blocks(cross: FloatArray, square: FloatArray, joint: FloatArray) -> Non
 
     Of the block η × η, the lower triangle is given.
     """
-    for k in range(DOF):
+    for k in range(JITTER_PAIR_DIM):
         for i in range(6):
             joint[i, 6 + k] = joint[6 + k, i] = cross[i, k]
         for j in range(k + 1):
@@ -441,7 +444,7 @@ def joint_normal_equations(
         for j in range(6):
             hessian[i, j] = motion.hessian[i, j]
     # The prior η ~ N(0, I)
-    for k in range(DOF):
+    for k in range(JITTER_PAIR_DIM):
         cost += 0.5 * at.eta[k] * at.eta[k]
         gradient[6 + k] -= at.eta[k]
         hessian[6 + k, 6 + k] += 1.0
@@ -469,10 +472,10 @@ def jitter_information(
         hessian: filled in, with the weights.
         information: filled in, with their curvature.
     """
-    cross = np.zeros((6, DOF))
-    square = np.zeros((DOF, DOF))
-    curved_cross = np.zeros((6, DOF))
-    curved_square = np.zeros((DOF, DOF))
+    cross = np.zeros((6, JITTER_PAIR_DIM))
+    square = np.zeros((JITTER_PAIR_DIM, JITTER_PAIR_DIM))
+    curved_cross = np.zeros((6, JITTER_PAIR_DIM))
+    curved_square = np.zeros((JITTER_PAIR_DIM, JITTER_PAIR_DIM))
     for n in range(len(weights.weight)):
         weight = weights.weight[n]
         curvature = weights.curvature[n]
@@ -481,13 +484,13 @@ def jitter_information(
         for i in range(6):
             # The translation's columns, as in ``stereo_numba.sum_information``.
             share = curvature * disparity_share[n] if i < 3 else curvature
-            for k in range(DOF):
+            for k in range(JITTER_PAIR_DIM):
                 product = J[0, i] * white[0, k] + J[1, i] * white[1, k]
                 product += J[2, i] * white[2, k] + J[3, i] * white[3, k]
                 cross[i, k] += weight * product
                 curved_cross[i, k] += share * product
         # η × η: Dᵀ Σ⁻¹ D was formed when the jitter was linearised.
-        for k in range(DOF):
+        for k in range(JITTER_PAIR_DIM):
             for j in range(k + 1):
                 square[k, j] += weight * jitter.square[n, k, j]
                 curved_square[k, j] += curvature * jitter.square[n, k, j]

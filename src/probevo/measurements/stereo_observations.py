@@ -26,8 +26,8 @@ from probevo.camera.transfer_numba import Intrinsics
 from probevo.geometry import se3
 from probevo.measurements.base import Linearization, Outcome
 from probevo.measurements.jitter_numba import (
-    AXES,
-    DOF,
+    JITTER_DIM,
+    JITTER_PAIR_DIM,
     Iterate,
     JitterEffects,
     JitterEquations,
@@ -62,7 +62,7 @@ EXPECTED_FEATURES = 20.0
 """Number of features that the noise model's prediction counts for, against the observed residuals,
 in the scale of the covariance. Their scatter alone, of ten features, would be off by a third."""
 DIM = 4
-JITTER_PRIOR = np.eye(DOF)
+JITTER_PRIOR = np.eye(JITTER_PAIR_DIM)
 """Information of the prior of η, [6, 6]."""
 
 
@@ -136,7 +136,9 @@ class JitterPriors(NamedTuple):
         root = np.linalg.cholesky(cov).astype(float)
         if prior is not None and prior.jitter is not None:
             return JitterPriors(root, prior.jitter)
-        prev = JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
+        prev = JitterPrior(
+            mean=np.zeros(JITTER_DIM), root=root, sensitivity=np.zeros((0, 2, JITTER_DIM))
+        )
         return JitterPriors(root, prev)
 
 
@@ -263,7 +265,7 @@ class StereoObservations:
             return self.points
         points = self.points
         # V η°, [N, 4]: it moves (u, v, d, δ).
-        offset = self.jitter.effects.sensitivity @ values[self.jitter.variable][AXES:]
+        offset = self.jitter.effects.sensitivity @ values[self.jitter.variable][JITTER_DIM:]
         return PointPrior(
             point=points.point + offset[:, :3],
             error=points.error + offset[:, 3],
@@ -399,7 +401,7 @@ class StereoObservations:
         # their square. Where d̂ is zero, so are they, and ∞ makes their shares zero.
         refined = self.propagated_noise.refined[:, 2]
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
-        dof = 6 if self.jitter is None else 6 + DOF
+        dof = 6 if self.jitter is None else 6 + JITTER_PAIR_DIM
         hessian = np.empty((dof, dof))
         information = np.empty((dof, dof))
         disparity_share = seen_px / disparity

@@ -14,7 +14,7 @@ from probevo.estimation.disparity_filter import StepCorrelation
 from probevo.estimation.disparity_filter_numba import COMMON
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
-from probevo.measurements.jitter_numba import AXES
+from probevo.measurements.jitter_numba import JITTER_DIM
 from probevo.training.supervision import Supervision
 
 MIN_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
@@ -29,7 +29,7 @@ thousand stretches."""
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
 hand."""
-MAX_COMMON = COMMON + AXES
+MAX_COMMON = COMMON + JITTER_DIM
 """Largest number K of common-mode errors: of the disparities, and of the rig's jitter."""
 
 
