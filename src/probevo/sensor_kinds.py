@@ -32,11 +32,11 @@ class SensorErrors:
     """Errors of the N measurements that a run would use, and what the sensor claims of them."""
 
     errors: FloatArray
-    """[N, d], rad, or m and rad."""
+    """Errors of the measurements, [N, d], rad, or m and rad."""
     covariances: FloatArray
-    """[N, d, d]."""
+    """Claimed covariances, [N, d, d]."""
     num_out_of_domain: int
-    """Those whose covariance was widened."""
+    """Number of measurements whose covariance was widened."""
     num_silent: int
     """Inputs so far out of the domain that the sensor gives no measurement."""
     num_lengths: int = 0

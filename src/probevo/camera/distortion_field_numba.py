@@ -30,9 +30,9 @@ class FieldModes(NamedTuple):
     """[N, MODE_COLUMNS MODE_ROWS]."""
     curr: FloatArray
     """[N, MODE_COLUMNS MODE_ROWS]."""
-    of_common: IntArray
+    common_modes: IntArray
     """Indices of the modes of c_u and c_v."""
-    of_disparity: IntArray
+    disparity_modes: IntArray
     """Indices of the modes of c_d."""
 
 
@@ -46,19 +46,19 @@ def fill_modes(pixels: FloatArray, plane: ImagePlane, modes: FloatArray) -> None
     for n in range(len(pixels)):
         x = min(max(2.0 * pixels[n, 0] / plane.width - 1.0, -1.0), 1.0)
         y = min(max(2.0 * pixels[n, 1] / plane.height - 1.0, -1.0), 1.0)
-        of_column_before = 0.0
-        of_column = 1.0
+        column_value_before = 0.0
+        column_value = 1.0
         for i in range(MODE_COLUMNS):
-            of_row_before = 0.0
-            of_row = 1.0
+            row_value_before = 0.0
+            row_value = 1.0
             for j in range(MODE_ROWS):
-                modes[n, i * MODE_ROWS + j] = of_column * of_row
-                following = _next_legendre(j, y, of_row, of_row_before)
-                of_row_before = of_row
-                of_row = following
-            following = _next_legendre(i, x, of_column, of_column_before)
-            of_column_before = of_column
-            of_column = following
+                modes[n, i * MODE_ROWS + j] = column_value * row_value
+                following = _next_legendre(j, y, row_value, row_value_before)
+                row_value_before = row_value
+                row_value = following
+            following = _next_legendre(i, x, column_value, column_value_before)
+            column_value_before = column_value
+            column_value = following
 
 
 @compiled
@@ -73,8 +73,8 @@ def correct_by_field(
     modes: FloatArray,
     coefficients: FloatArray,
     *,
-    of_common: IntArray,
-    of_disparity: IntArray,
+    common_modes: IntArray,
+    disparity_modes: IntArray,
 ) -> None:
     """Take the errors of the field out of N observations, [N, 4], px, in place.
 
@@ -82,20 +82,20 @@ def correct_by_field(
         pixels: the observations.
         modes: P_i(x) P_j(y) at these, [N, MODE_COLUMNS MODE_ROWS].
         coefficients: of c_u, c_v and c_d, px.
-        of_common: indices of the modes of c_u and c_v.
-        of_disparity: indices of the modes of c_d.
+        common_modes: indices of the modes of c_u and c_v.
+        disparity_modes: indices of the modes of c_d.
     """
-    common = len(of_common)
+    common = len(common_modes)
     for n in range(len(pixels)):
         u_px = 0.0
         v_px = 0.0
         d_px = 0.0
         for k in range(common):
-            mode = modes[n, of_common[k]]
+            mode = modes[n, common_modes[k]]
             u_px += coefficients[k] * mode
             v_px += coefficients[common + k] * mode
-        for k in range(len(of_disparity)):
-            d_px += coefficients[2 * common + k] * modes[n, of_disparity[k]]
+        for k in range(len(disparity_modes)):
+            d_px += coefficients[2 * common + k] * modes[n, disparity_modes[k]]
         pixels[n, 0] += u_px
         pixels[n, 1] += v_px
         pixels[n, 2] += u_px - d_px
@@ -149,7 +149,7 @@ def field_sensitivities(
         modes: the modes of the field at these features.
         sensitivity: filled in; zero behind the camera.
     """
-    common = len(modes.of_common)
+    common = len(modes.common_modes)
     for n in range(len(refined)):
         X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
@@ -164,8 +164,8 @@ def field_sensitivities(
         v_by_v = (T[1, 1] - T[2, 1] * Y / Z) / Z
         d_by_v = -T[2, 1] * d_curr / (camera.fv * Z)
         for k in range(common):
-            before = modes.prev[n, modes.of_common[k]]
-            now = modes.curr[n, modes.of_common[k]]
+            before = modes.prev[n, modes.common_modes[k]]
+            now = modes.curr[n, modes.common_modes[k]]
             sensitivity[n, 0, k] = now - u_by_u * before
             sensitivity[n, 1, k] = -v_by_u * before
             sensitivity[n, 2, k] = now - (u_by_u - d_by_u) * before
@@ -174,9 +174,9 @@ def field_sensitivities(
             sensitivity[n, 1, common + k] = now - v_by_v * before
             sensitivity[n, 2, common + k] = -(u_by_v - d_by_v) * before
             sensitivity[n, 3, common + k] = now - v_by_v * before
-        for k in range(len(modes.of_disparity)):
-            before = modes.prev[n, modes.of_disparity[k]]
-            now = modes.curr[n, modes.of_disparity[k]]
+        for k in range(len(modes.disparity_modes)):
+            before = modes.prev[n, modes.disparity_modes[k]]
+            now = modes.curr[n, modes.disparity_modes[k]]
             for i in range(4):
                 sensitivity[n, i, 2 * common + k] = -disparity_jacobian[n, i] * before
             sensitivity[n, 2, 2 * common + k] -= now

@@ -166,8 +166,8 @@ class RigCalibration:
             corrected,
             modes,
             self.image.distortion,
-            of_common=COMMON_MODES,
-            of_disparity=DISPARITY_MODES,
+            common_modes=COMMON_MODES,
+            disparity_modes=DISPARITY_MODES,
         )
         return corrected
 

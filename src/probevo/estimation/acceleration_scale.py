@@ -32,7 +32,8 @@ class AccelerationScale:
     """
 
     mean_square: tuple[float, float] = (1.0, 1.0)
-    """Of the acceleration along an axis, and of the angular one."""
+    """Mean square of the acceleration along an axis, and of the angular one, over that of the
+    settings."""
     weight_s: float = PRIOR_S
     """Time that the mean is over."""
 

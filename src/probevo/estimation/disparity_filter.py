@@ -158,7 +158,7 @@ class DisparityFilter:
     """Cross-covariance of the path's error before the last step with that of the step, along the
     axes of the last frame, [6, 6]."""
     correlation: StepCorrelation = field(default_factory=StepCorrelation.none)
-    """Of the last step with its neighbours."""
+    """Correlation of the last step with its neighbours."""
 
     @staticmethod
     def none() -> DisparityFilter:
@@ -553,11 +553,11 @@ class _NextCommonMode(NamedTuple):
     sensitivity: FloatArray
     """``DisparityFilter.common``, of all tracks that were updated, [M, 2, K], px."""
     path_sensitivity: FloatArray
-    """As in ``DisparityFilter``, [6, K]."""
+    """Sensitivity of the path to the common-mode errors, [6, K], as in ``DisparityFilter``."""
     path_cross_cov: FloatArray
-    """As in ``DisparityFilter``, [6, 6]."""
+    """Cross-covariance of the path with the step, [6, 6], as in ``DisparityFilter``."""
     correlation: StepCorrelation
-    """Of the step with its neighbours."""
+    """Correlation of the step with its neighbours."""
     jitter: JitterPrior | None
     """Posterior of the current frame's jitter, without the sensitivity of the tracks; None if the
     noise has none."""

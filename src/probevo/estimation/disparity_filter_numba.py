@@ -111,10 +111,10 @@ def update_states(
                 D[r, k] = features.jacobian[i, r, k]
                 e -= D[r, k] * mean[k]
             for k in range(COMMON):
-                of_common = num_prev_jitter + k
-                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, of_common]
+                common_column = num_prev_jitter + k
+                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, common_column]
                 if r == 2:
-                    D[r, m + k] -= common[i, 1, of_common]
+                    D[r, m + k] -= common[i, 1, common_column]
                 e -= D[r, m + k] * mean[m + k]
             for s in range(2):
                 gain[s, r] = 0.0
@@ -344,11 +344,11 @@ def add_squares(sensitivity: FloatArray, first: int, last: int, cov: FloatArray)
     """
     for n in range(len(sensitivity)):
         for k in range(first, last):
-            of_d = sensitivity[n, 0, k]
-            of_error = sensitivity[n, 1, k]
-            cov[n, 0, 0] += of_d * of_d
-            cov[n, 1, 1] += of_error * of_error
-            cov[n, 0, 1] += of_d * of_error
+            disparity_sensitivity = sensitivity[n, 0, k]
+            error_sensitivity = sensitivity[n, 1, k]
+            cov[n, 0, 0] += disparity_sensitivity * disparity_sensitivity
+            cov[n, 1, 1] += error_sensitivity * error_sensitivity
+            cov[n, 0, 1] += disparity_sensitivity * error_sensitivity
         cov[n, 1, 0] = cov[n, 0, 1]
 
 

@@ -25,9 +25,9 @@ class JointEquations(NamedTuple):
     other_hessian: FloatArray
     """B = Σ w Dᵀ Σ⁻¹ D, [R, R]."""
     gradient: FloatArray
-    """By the unknowns that are eliminated, with their priors, [m]."""
+    """Gradient by the unknowns that are eliminated, with their priors, [m]."""
     others_gradient: FloatArray
-    """By the others, without their prior, [R]."""
+    """Gradient by the others, without their prior, [R]."""
 
     @staticmethod
     def of(D: FloatArray, solution: ReprojectionSolution) -> JointEquations:
@@ -96,6 +96,6 @@ class Elimination(NamedTuple):
     step: FloatArray
     """The Gauss–Newton step of those that are eliminated, with the others held, [m]."""
     information: FloatArray
-    """About the others, [R, R]."""
+    """Information about the others, [R, R]."""
     gradient: FloatArray
-    """By the others, [R]."""
+    """Gradient by the others, [R]."""

@@ -151,7 +151,7 @@ class DeadReckoning:
     cov: FloatArray
     """Covariance of its left perturbation, [6, 6]."""
     path_cross_cov: FloatArray
-    """As of ``MotionEstimate``, [6, 6]."""
+    """Cross-covariance of the path's error with that of the step, [6, 6] (``MotionEstimate``)."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class SolvedJitter:
     columns: FloatArray
     """D = −∂e/∂η, [N, 4, 6], px."""
     hessian: FloatArray
-    """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [12, 12]."""
+    """Hessian over (ξ, η), with the prior of η, [12, 12] (``ReprojectionSolution.hessian``)."""
     cov: FloatArray
     """Covariance of (ξ, η), [12, 12]; NaN where the features do not fix all of ξ."""
 

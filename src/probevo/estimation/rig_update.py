@@ -34,7 +34,7 @@ from probevo.tracking.tracks import Tracks
 _FIELD = slice(3, 3 + NUM_COEFFICIENTS)
 """Indices of the distortion field's coefficients among (b₀, b₁, b₂, field, a₆, ε, τ)."""
 _IMAGE = slice(1, _FIELD.stop)
-"""Those of c = (b₁, b₂, field): two frames do not estimate b₀."""
+"""Indices of c = (b₁, b₂, field) among them: two frames do not estimate b₀."""
 _RADIAL = _FIELD.stop
 """Index of a₆."""
 _EPSILON = _FIELD.stop + 1
@@ -291,8 +291,8 @@ def calibration_sensitivity(
         FieldModes(
             prev=modes_at(solution.refined, camera),
             curr=modes_at(predicted_px, camera),
-            of_common=COMMON_MODES,
-            of_disparity=DISPARITY_MODES,
+            common_modes=COMMON_MODES,
+            disparity_modes=DISPARITY_MODES,
         ),
         sensitivity[:, :, _FIELD],
     )

@@ -496,7 +496,7 @@ class WithOffset(VectorMeasurement):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """Those of the measurement, and the offset."""
+        """The variables of the measurement, and the offset."""
         return (*self.measurement.variables, self.offset)
 
     def residual(self, values: Values) -> FloatArray:

@@ -44,11 +44,11 @@ class FactorLinearization(NamedTuple):
     residual: FloatArray
     """(s, f(T s)) minus the measured values of both, [7], px."""
     motion: FloatArray
-    """By a left perturbation ξ = [ρ; φ] of T_curr_prev, [7, 6], px/m and px/rad."""
+    """Jacobian by a left perturbation ξ = [ρ; φ] of T_curr_prev, [7, 6], px/m and px/rad."""
     point: FloatArray
-    """By s, [7, 3]."""
+    """Jacobian by s, [7, 3]."""
     common: FloatArray
-    """By the common-mode errors, [7, K], px."""
+    """Jacobian by the common-mode errors, [7, K], px."""
 
 
 @dataclass(frozen=True)

@@ -295,7 +295,7 @@ class _LossAt(NamedTuple):
 
     kind: int
     parameter: FloatArray
-    """As of ``LossParameters``."""
+    """Parameter of the loss for each residual, [N] (``LossParameters``)."""
     squared: FloatArray
     """s of each residual, [N]."""
     newton: bool

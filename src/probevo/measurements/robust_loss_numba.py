@@ -19,7 +19,7 @@ class LossKind(IntEnum):
 
 
 HUBER, CAUCHY, TUKEY, STUDENT_T = (int(kind) for kind in list(LossKind)[1:])
-"""As plain numbers, which compiled code takes."""
+"""The kinds of loss as plain numbers, which compiled code takes."""
 
 RESIDUAL_DIM = 4
 """d, the dimension of a stereo residual."""

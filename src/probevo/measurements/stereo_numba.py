@@ -64,7 +64,8 @@ class LossParameters(NamedTuple):
     kind: int
     """A ``LossKind``."""
     parameter: FloatArray
-    """Of each residual, [N]: ν of a Student-t, k of Huber, c of Cauchy and Tukey."""
+    """Parameter of the loss for each residual, [N]: ν of a Student-t, k of Huber, c of Cauchy and
+    Tukey."""
 
 
 class NormalEquations(NamedTuple):

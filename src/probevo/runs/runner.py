@@ -252,7 +252,7 @@ class _Records:
         self.motions_of_images.add(odometry.T_curr_prev_before_window)
         if motion.status is Status.OK:
             self.fixed.add(
-                odometry.tracks, motion.T_curr_prev, of_vehicle=odometry.tracks_of_vehicle
+                odometry.tracks, motion.T_curr_prev, vehicle_tracks=odometry.tracks_of_vehicle
             )
         seen = odometry.tracks.subset(odometry.used)
         self.heights.add(

@@ -325,20 +325,20 @@ def _set_positions(patch: AnyArray, offset_px: FloatArray, position: FloatArray)
 
 @compiled
 def _leave_out_saturated(
-    of_patch: AnyArray, of_image: Image, warped: WarpedPixels, left_out: BoolArray
+    patch_saturated: AnyArray, image_saturated: Image, warped: WarpedPixels, left_out: BoolArray
 ) -> int:
     """Leave out the pixels that are saturated in a patch or in the image, and return how many
     count.
 
     Args:
-        of_patch: 1 where a pixel of the patch is saturated, [side, side].
-        of_image: the same for the image, [height, width]; empty if none is.
+        patch_saturated: 1 where a pixel of the patch is saturated, [side, side].
+        image_saturated: the same for the image, [height, width]; empty if none is.
         warped: where the pixels of the patch are in the image, between four of its pixels.
         left_out: out, [area].
     """
-    flat_patch = of_patch.ravel()
-    flat_image = of_image.ravel()
-    width = of_image.shape[1]
+    flat_patch = patch_saturated.ravel()
+    flat_image = image_saturated.ravel()
+    width = image_saturated.shape[1]
     num_counted = len(flat_patch)
     for i in range(len(flat_patch)):
         is_saturated = flat_patch[i] != 0
@@ -623,16 +623,16 @@ def _warp(
         column = np.int32(right)
         row = np.int32(down)
         corner[i] = base + row * np.int32(width) + column
-        of_columns = _spline_weights(right - np.float32(column))
-        weights[0, i] = of_columns[0]
-        weights[1, i] = of_columns[1]
-        weights[2, i] = of_columns[2]
-        weights[3, i] = of_columns[3]
-        of_rows = _spline_weights(down - np.float32(row))
-        weights[4, i] = of_rows[0]
-        weights[5, i] = of_rows[1]
-        weights[6, i] = of_rows[2]
-        weights[7, i] = of_rows[3]
+        column_weights = _spline_weights(right - np.float32(column))
+        weights[0, i] = column_weights[0]
+        weights[1, i] = column_weights[1]
+        weights[2, i] = column_weights[2]
+        weights[3, i] = column_weights[3]
+        row_weights = _spline_weights(down - np.float32(row))
+        weights[4, i] = row_weights[0]
+        weights[5, i] = row_weights[1]
+        weights[6, i] = row_weights[2]
+        weights[7, i] = row_weights[3]
     return True
 
 

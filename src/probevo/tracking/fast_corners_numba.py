@@ -20,7 +20,7 @@ class FlatImage(NamedTuple):
     pixels: AnyArray
     """Grey levels, [height · width], uint8."""
     width: int
-    """Of the image, px."""
+    """Width of the image, px."""
     bound: Image
     """Upper bound of the strength of each pixel, [height − 6, width − 6], uint8."""
     ring_offsets: IntArray
@@ -129,10 +129,10 @@ def _greatest(bound: Image) -> int:
     greatest = 0
     for i in range(len(bound)):
         row = bound[i]
-        of_row = np.uint8(0)
+        row_maximum = np.uint8(0)
         for j in range(len(row)):
-            of_row = max(of_row, row[j])
-        greatest = max(greatest, int(of_row))
+            row_maximum = max(row_maximum, row[j])
+        greatest = max(greatest, int(row_maximum))
     return greatest
 
 

@@ -73,17 +73,17 @@ class FixedFeatureCount:
         self._steps = StepsAtRest(0, 0, 0, 0)
 
     def add(
-        self, tracks: Tracks, T_curr_prev: FloatArray, of_vehicle: Tracks | None = None
+        self, tracks: Tracks, T_curr_prev: FloatArray, vehicle_tracks: Tracks | None = None
     ) -> None:
         """Take the tracks of a step and its motion.
 
         Args:
             tracks: the tracks that may belong to the scene.
             T_curr_prev: the motion, [4, 4], m.
-            of_vehicle: the tracks known to be fixed to the vehicle; None for none.
+            vehicle_tracks: the tracks known to be fixed to the vehicle; None for none.
         """
-        if of_vehicle is not None:
-            self._count_fixed(of_vehicle, shifts_px(of_vehicle, T_curr_prev, self._camera))
+        if vehicle_tracks is not None:
+            self._count_fixed(vehicle_tracks, shifts_px(vehicle_tracks, T_curr_prev, self._camera))
         if not len(tracks):
             return
         shift_px = shifts_px(tracks, T_curr_prev, self._camera)

@@ -37,7 +37,7 @@ CLOUD_HEIGHT_TEXELS = 150.0
 CLOUD_CONTRAST = 0.35
 SKY_RADIANCE = 0.85
 GLOW_RADIANCE = 1.2
-"""Of the sky next to the sun at full glow, beside what it is without."""
+"""Radiance that full glow adds to the sky next to the sun."""
 GLOW_RAD = 0.35
 """Angle from the sun over which the glow falls by a factor e."""
 DISK_RAD = 0.02

@@ -62,12 +62,12 @@ class Inertial:
     calibration: ImuCalibration | None
     """None if there is no IMU."""
     factors: tuple[Preintegration | None, ...] = ()
-    """Between successive frames, [K − 1]; None where there is none."""
+    """Preintegrated samples between successive frames, [K − 1]; None where there are none."""
     stamps_ns: Mapping[int, int] = field(default_factory=dict)
     """Time of each frame of the window, and of the next one, by its index: biases walk with or
     without samples."""
     pending: Preintegration | None = None
-    """From the last frame to the next one."""
+    """Preintegrated samples from the last frame to the next one."""
     prediction: InertialPrediction | None = None
     """The motion to the next frame; None before the states are known, or without samples."""
     states: InertialStates | None = None

@@ -26,7 +26,7 @@ class InertialPrediction(NamedTuple):
     cov_of_samples: FloatArray
     """The same from the noise of the samples, [6, 6]."""
     velocity: FloatArray
-    """Of the IMU at its end, in the world, [3], m/s."""
+    """Velocity of the IMU at the end of the motion, in the world, [3], m/s."""
 
     @property
     def cov(self) -> FloatArray:

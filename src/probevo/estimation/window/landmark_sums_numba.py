@@ -194,7 +194,7 @@ def couple(
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
-    of_anchor = coupling[first]
+    anchor_block = coupling[first]
     for k in range(count):
         # Rows (u, v, d, δ), columns ζ_k: those of the landmark in Σ⁻¹ times the white columns of
         # this observation.
@@ -215,7 +215,7 @@ def couple(
         adjoint = problem.adjoints[problem.observations.slot[first + k], anchor]
         for i in range(LANDMARK):
             for j in range(POSE):
-                of_anchor[i, j] -= (
+                anchor_block[i, j] -= (
                     own[i, 0] * adjoint[0, j]
                     + own[i, 1] * adjoint[1, j]
                     + own[i, 2] * adjoint[2, j]
@@ -305,16 +305,16 @@ def eliminate(
     # The columns of Y are those of all frames from the first to the last that saw it.
     slot = problem.observations.slot
     span = slot[end - 1] - slot[first] + 1
-    of_frames = FRAME * span
-    width = of_frames + RIG
+    frames_width = FRAME * span
+    width = frames_width + RIG
     if span > end - first:  # frames in between did not see it
         for i in range(LANDMARK):
-            wide[i, :of_frames] = 0.0
+            wide[i, :frames_width] = 0.0
     # Y = R⁻¹ B: the frames from the anchor on, then the rig; behind them, R⁻¹ times the gradient.
     for m in range(first, end):
         at = FRAME * (slot[m] - slot[first])
         _substitute(root, elimination.coupling[m], FRAME, wide[:, at:])
-    _substitute(root, elimination.rig_coupling[row], RIG, wide[:, of_frames:])
+    _substitute(root, elimination.rig_coupling[row], RIG, wide[:, frames_width:])
     gradient = elimination.gradient[row].reshape(LANDMARK, 1)
     _substitute(root, gradient, 1, wide[:, width:])
     # H −= Yᵀ Y, g −= Yᵀ R⁻¹ g_landmark. Frames come in their order, the rig last: this fills the
@@ -326,15 +326,15 @@ def eliminate(
         y1 = wide[1, p]
         y2 = wide[2, p]
         y3 = wide[3, p]
-        at = frame0 + p if p < of_frames else rig0 + p - of_frames
+        at = frame0 + p if p < frames_width else rig0 + p - frames_width
         equations.gradient[at] -= (
             y0 * wide[0, width] + y1 * wide[1, width] + y2 * wide[2, width] + y3 * wide[3, width]
         )
         target = equations.hessian[at, frame0:]
-        for q in range(min(p + 1, of_frames)):
+        for q in range(min(p + 1, frames_width)):
             target[q] -= y0 * wide[0, q] + y1 * wide[1, q] + y2 * wide[2, q] + y3 * wide[3, q]
-        for q in range(of_frames, p + 1):
-            equations.hessian[at, rig0 + q - of_frames] -= (
+        for q in range(frames_width, p + 1):
+            equations.hessian[at, rig0 + q - frames_width] -= (
                 y0 * wide[0, q] + y1 * wide[1, q] + y2 * wide[2, q] + y3 * wide[3, q]
             )
 
@@ -353,41 +353,43 @@ def add_pairs(sums: FloatArray, adjoints: FloatArray, equations: WindowEquations
     """
     hessian = equations.hessian
     rig0 = len(equations.gradient) - RIG
-    of_both = np.empty((FRAME, POSE))
-    of_anchor = np.empty((POSE, POSE))
+    mixed_block = np.empty((FRAME, POSE))
+    anchor_block = np.empty((POSE, POSE))
     num_frames = len(adjoints)
     for k in range(num_frames):
         for a in range(k + 1):
             # The roll of the jitter moves every observation: its information is zero only where
             # there was none.
-            of_motion = sums[k, a]
-            if of_motion[FRAME - 1, FRAME - 1] == 0.0:
+            motion_sums = sums[k, a]
+            if motion_sums[FRAME - 1, FRAME - 1] == 0.0:
                 continue  # no landmark of this anchor was seen there
             adjoint = adjoints[k, a]
-            _times_adjoint(of_motion, adjoint, of_both)
-            _adjoint_transposed_times(adjoint, of_both, of_anchor)
-            # of_both = H Ad, [9, 6], and of_anchor = Adᵀ H Ad, [6, 6]. The jitter's rows of H have
-            # no part in the latter, as the anchor's pose moves ξ_ka alone. Information of (ζ_k,
-            # ξ_a) by ζ = (ξ_k − Ad ξ_a, ω_k): [I, −Ad]ᵀ H [I, −Ad].
-            of_k = FRAME * k
-            of_a = FRAME * a
+            _times_adjoint(motion_sums, adjoint, mixed_block)
+            _adjoint_transposed_times(adjoint, mixed_block, anchor_block)
+            # mixed_block = H Ad, [9, 6], and anchor_block = Adᵀ H Ad, [6, 6]. The jitter's rows of
+            # H have no part in the latter, as the anchor's pose moves ξ_ka alone. Information of
+            # (ζ_k, ξ_a) by ζ = (ξ_k − Ad ξ_a, ω_k): [I, −Ad]ᵀ H [I, −Ad].
+            frame_k = FRAME * k
+            frame_a = FRAME * a
             for i in range(FRAME):
-                equations.gradient[of_k + i] += of_motion[i, _GRADIENT]
+                equations.gradient[frame_k + i] += motion_sums[i, _GRADIENT]
                 for j in range(FRAME):
-                    hessian[of_k + i, of_k + j] += of_motion[i, j]
+                    hessian[frame_k + i, frame_k + j] += motion_sums[i, j]
                 for j in range(POSE):
-                    hessian[of_k + i, of_a + j] -= of_both[i, j]
+                    hessian[frame_k + i, frame_a + j] -= mixed_block[i, j]
                 for j in range(RIG):
-                    hessian[rig0 + j, of_k + i] += of_motion[i, _WITH_RIG + j]
+                    hessian[rig0 + j, frame_k + i] += motion_sums[i, _WITH_RIG + j]
             for i in range(POSE):
                 for j in range(POSE):
-                    hessian[of_a + i, of_a + j] += of_anchor[i, j]
+                    hessian[frame_a + i, frame_a + j] += anchor_block[i, j]
                 for n in range(POSE):
-                    equations.gradient[of_a + i] -= adjoint[n, i] * of_motion[n, _GRADIENT]
+                    equations.gradient[frame_a + i] -= adjoint[n, i] * motion_sums[n, _GRADIENT]
                     for j in range(RIG):
-                        hessian[rig0 + j, of_a + i] -= adjoint[n, i] * of_motion[n, _WITH_RIG + j]
+                        hessian[rig0 + j, frame_a + i] -= (
+                            adjoint[n, i] * motion_sums[n, _WITH_RIG + j]
+                        )
             if a < k:
-                cross = of_motion[:, _WITH_PREV:_WITH_RIG]
+                cross = motion_sums[:, _WITH_PREV:_WITH_RIG]
                 _add_neighbours(k, k - 1, a, cross=cross, adjoints=adjoints, equations=equations)
 
 
@@ -411,21 +413,21 @@ def _add_neighbours(
     # couples k and a, −Xᵀ Ad_k couples p and a, and Ad_kᵀ X Ad_p is the anchor's own. Where the
     # earlier frame is the anchor itself, X has no columns of ξ_pa, only those of the jitter.
     hessian = equations.hessian
-    of_prev = np.empty((FRAME, POSE))
-    of_curr = np.empty((FRAME, POSE))
-    of_anchor = np.empty((POSE, POSE))
-    _times_adjoint(cross, adjoints[p, a], of_prev)
-    _times_adjoint(cross.T, adjoints[k, a], of_curr)
-    _adjoint_transposed_times(adjoints[k, a], of_prev, of_anchor)
+    prev_block = np.empty((FRAME, POSE))
+    curr_block = np.empty((FRAME, POSE))
+    anchor_block = np.empty((POSE, POSE))
+    _times_adjoint(cross, adjoints[p, a], prev_block)
+    _times_adjoint(cross.T, adjoints[k, a], curr_block)
+    _adjoint_transposed_times(adjoints[k, a], prev_block, anchor_block)
     for i in range(FRAME):
         for j in range(FRAME):
             hessian[FRAME * k + i, FRAME * p + j] += cross[i, j]
         for j in range(POSE):
-            hessian[FRAME * k + i, FRAME * a + j] -= of_prev[i, j]
-            hessian[FRAME * p + i, FRAME * a + j] -= of_curr[i, j]
+            hessian[FRAME * k + i, FRAME * a + j] -= prev_block[i, j]
+            hessian[FRAME * p + i, FRAME * a + j] -= curr_block[i, j]
     for i in range(POSE):
         for j in range(POSE):
-            hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j] + of_anchor[j, i]
+            hessian[FRAME * a + i, FRAME * a + j] += anchor_block[i, j] + anchor_block[j, i]
 
 
 @compiled_into_callers

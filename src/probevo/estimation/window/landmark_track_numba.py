@@ -307,12 +307,12 @@ def _linearize(
         elif j == 1:
             scale = per_v
         h_z = scale * T_ka[2, column]
-        of_u = u_x * scale * T_ka[0, column] + u_z * h_z
-        of_v = v_y * scale * T_ka[1, column] + v_z * h_z
-        raw[0, FRAME + j] = of_u
-        raw[1, FRAME + j] = of_v
-        raw[2, FRAME + j] = of_u - d_z * h_z
-        raw[3, FRAME + j] = of_v
+        u_shift = u_x * scale * T_ka[0, column] + u_z * h_z
+        v_shift = v_y * scale * T_ka[1, column] + v_z * h_z
+        raw[0, FRAME + j] = u_shift
+        raw[1, FRAME + j] = v_shift
+        raw[2, FRAME + j] = u_shift - d_z * h_z
+        raw[3, FRAME + j] = v_shift
     # u_r = u − d/h_z − δ depends on d and δ directly, too.
     raw[2, FRAME + 2] -= per_depth
     raw[2, FRAME + 3] = -1.0
@@ -346,16 +346,16 @@ def _fill_errors(
     pitch = jitter[0]
     yaw = jitter[1]
     roll = jitter[2]
-    of_jitter_u = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
-    of_jitter_v = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
+    u_jitter = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
+    v_jitter = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
     # Predictions are linear in k₁, so that its effect is k₁ times its Jacobian column.
     u += rig[LENS] * raw[0, _RIG + LENS]
     v += rig[LENS] * raw[1, _RIG + LENS]
     u_r += rig[LENS] * raw[2, _RIG + LENS]
     raw[0, _ERROR] = pixels[0] - u
     raw[1, _ERROR] = pixels[1] - v
-    raw[2, _ERROR] = pixels[2] - (u_r - state[3] + rig_error + of_jitter_u)
-    raw[3, _ERROR] = pixels[3] - (v + of_jitter_v)
+    raw[2, _ERROR] = pixels[2] - (u_r - state[3] + rig_error + u_jitter)
+    raw[3, _ERROR] = pixels[3] - (v + v_jitter)
 
 
 @compiled_into_callers
@@ -379,7 +379,7 @@ def _fill_innovations(count: int, correlation: float, track: LinearizedTrack) ->
     # s = 1/√(1 + ρ); the innovation of the anchor's observation, which none precedes, is √(1 − ρ)
     # a₀. Its square and the ρ²/(1 + ρ) of the next one add up to the first block of Σ⁻¹, 1/(1 + ρ).
     scale = 1.0 / math.sqrt(1.0 + correlation)
-    of_neighbour = -correlation * scale
+    neighbour_factor = -correlation * scale
     for k in range(count):
         own = share_of_own(k, correlation)
         for n in range(PIXELS):
@@ -388,7 +388,7 @@ def _fill_innovations(count: int, correlation: float, track: LinearizedTrack) ->
         if k > 0:
             for n in range(PIXELS):
                 for j in range(COMMON_COLUMNS):
-                    track.innovation[k, n, j] += of_neighbour * track.white[k - 1, n, FRAME + j]
+                    track.innovation[k, n, j] += neighbour_factor * track.white[k - 1, n, FRAME + j]
     # The transposed map, since aᵀ Σ⁻¹ b = (L a)ᵀ (L b) for the map L to innovations.
     for k in range(count):
         own = share_of_own(k, correlation)
@@ -398,7 +398,7 @@ def _fill_innovations(count: int, correlation: float, track: LinearizedTrack) ->
         if k + 1 < count:
             for n in range(PIXELS):
                 for j in range(COMMON_COLUMNS):
-                    track.weighted[k, n, j] += of_neighbour * track.innovation[k + 1, n, j]
+                    track.weighted[k, n, j] += neighbour_factor * track.innovation[k + 1, n, j]
 
 
 @compiled

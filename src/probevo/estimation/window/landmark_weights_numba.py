@@ -54,7 +54,7 @@ class RobustWeight(NamedTuple):
     """The weight of a landmark under the robust loss, with cost and curvature."""
 
     cost: float
-    """Of all its observations, nats."""
+    """Cost of all its observations, nats."""
     weight: float
     """IRLS weight: the factor of each pull."""
     curvature: float
@@ -138,7 +138,7 @@ def velocity_squared(
     first = observations.start[row]
     count = observations.start[row + 1] - first
     correlation = problem.noise.correlation
-    of_neighbour = -correlation / math.sqrt(1.0 + correlation)
+    neighbour_factor = -correlation / math.sqrt(1.0 + correlation)
     error = COMMON_COLUMNS - 1
     equations[:] = 0.0
     tested = np.empty(TESTED + 1)
@@ -158,7 +158,7 @@ def velocity_squared(
             for j in range(VELOCITY):
                 tested[LANDMARK + j] = own * white[k, i, j]
                 if k > 0:
-                    tested[LANDMARK + j] += of_neighbour * white[k - 1, i, j]
+                    tested[LANDMARK + j] += neighbour_factor * white[k - 1, i, j]
             tested[TESTED] = track.innovation[k, i, error]
             for p in range(TESTED):
                 for q in range(p + 1):
@@ -187,9 +187,9 @@ def velocity_squared(
 
 
 @compiled_into_callers
-def static_weight(row: int, problem: WindowProblem, total: float, of_velocity: float) -> float:
+def static_weight(row: int, problem: WindowProblem, total: float, velocity_part: float) -> float:
     """Return the weight of a landmark with squared errors ``total``, of which a velocity explains
-    ``of_velocity``: 1 if it stands still, less the more of them a velocity explains."""
+    ``velocity_part``: 1 if it stands still, less the more of them a velocity explains."""
     observations = problem.observations
     count = observations.start[row + 1] - observations.start[row]
     loss = problem.noise.loss
@@ -197,5 +197,5 @@ def static_weight(row: int, problem: WindowProblem, total: float, of_velocity: f
     # What a velocity does not explain shows the scale of the landmark's errors, which is taken for
     # no smaller than the noise model's: few errors may be small by chance.
     others = PIXELS * count + 1 - LANDMARK - VELOCITY
-    precision = min(1.0, _weight(loss, parameter, others, max(0.0, total - of_velocity)))
-    return min(1.0, _weight(loss, parameter, VELOCITY, precision * of_velocity))
+    precision = min(1.0, _weight(loss, parameter, others, max(0.0, total - velocity_part)))
+    return min(1.0, _weight(loss, parameter, VELOCITY, precision * velocity_part))

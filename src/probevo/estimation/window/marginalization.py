@@ -32,7 +32,7 @@ class PoseCovariance(NamedTuple):
     """The joint covariance of the poses of a window."""
 
     world_cov: FloatArray
-    """Of their perturbations, [6K, 6K]."""
+    """Covariance of their left perturbations, [6K, 6K], m and rad."""
     motion_cov: FloatArray
     """The same, as if the oldest pose was known where it is not: covariances of motions between
     poses follow from it without the rounding of the large variances that they have in common,

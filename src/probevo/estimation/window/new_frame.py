@@ -32,7 +32,7 @@ class ReacquiredFeatures(NamedTuple):
     """Features of a frame before a gap that are seen again."""
 
     slot: int
-    """Of that frame."""
+    """Slot of that frame."""
     ids: IntArray
     """Their identities, [N]."""
 

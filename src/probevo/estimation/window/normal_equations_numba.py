@@ -137,8 +137,8 @@ def static_weights(
             error = landmarks.state[row, 3]
             total = linearize_track(row, problem, track)
             total += landmarks.error_information[row] * error * error
-            of_velocity = velocity_squared(row, problem, track, white, equations)
-            weights[row] = static_weight(row, problem, total, of_velocity)
+            velocity_part = velocity_squared(row, problem, track, white, equations)
+            weights[row] = static_weight(row, problem, total, velocity_part)
     return weights
 
 

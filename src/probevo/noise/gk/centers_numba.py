@@ -63,13 +63,13 @@ def interpolate(
         wc = part * weight[2]
         wd = part * weight[3]
         for j in range(NUM_PARAMETERS):
-            of_centers = (
+            center_share = (
                 wa * parameters[a, j]
                 + wb * parameters[b, j]
                 + wc * parameters[c, j]
                 + wd * parameters[d, j]
             )
-            mean[j] = (1.0 - share) * prior[j] + of_centers
+            mean[j] = (1.0 - share) * prior[j] + center_share
         # From the parameters back to bias, scale and ν: the inverse of
         # ``StudentTBatch.log_cholesky``.
         for i in range(4):
