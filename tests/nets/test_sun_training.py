@@ -23,7 +23,13 @@ from probevo.nets.recorded_training import _origin  # noqa: E402
 from probevo.nets.sun_network import SPACE, SunNetwork  # noqa: E402
 from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
 from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
-from probevo.nets.sun_views import SunViews, read_sun, read_views, sun_field  # noqa: E402
+from probevo.nets.sun_views import (  # noqa: E402
+    SunViews,
+    check_sun_recording,
+    read_sun,
+    read_views,
+    sun_field,
+)
 from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 
@@ -204,15 +210,16 @@ def test_train_run_and_inspect(
     assert "Saliency" in (seen / "inspection.html").read_text()
 
 
-def test_a_recording_without_a_true_pose_in_its_frames_is_refused(
-    walls: list[Path], tmp_path: Path
-) -> None:
+def test_a_recording_whose_truth_begins_late_is_refused(walls: list[Path], tmp_path: Path) -> None:
+    """Its truth is relative to the first known pose, and ``sun.txt`` to the first frame."""
     late = shutil.copytree(walls[0], tmp_path / "late")
     poses = (late / "poses.txt").read_text().splitlines()
     unknown = " ".join(["nan"] * len(poses[0].split()))
     (late / "poses.txt").write_text("\n".join([unknown] * 5 + poses[5:]) + "\n")
-    with pytest.raises(InputError, match="none of its first 4 frames has a true pose"):
-        read_views(open_sequence(late), 4)
+    sequence = open_sequence(late)
+    for refuses in (check_sun_recording, lambda recording: read_views(recording, FRAMES)):
+        with pytest.raises(InputError, match="true pose of its first frame is unknown"):
+            refuses(sequence)
 
 
 def test_repeated_images_are_left_out(walls: list[Path], tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Single images as a network sees them, with the true direction of the sun.
 
 Where the sun stands is said by ``sun.txt`` in the folder of a recording: a direction towards it, x
-y z, in the world of its true poses, which is the first camera. Rendered scenes have the file.
+y z, in the camera of the first frame. Rendered scenes have the file.
 """
 
 from __future__ import annotations
@@ -104,11 +104,11 @@ def read_views(
         on_frame: called with the number of frames done.
 
     Raises:
-        InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, a
-            faulty frame, or no frame with a true pose.
+        InputError: it has no images, no truth of its first frame or no ``sun.txt``, a camera that
+            sees too little, or a faulty frame.
     """
     sun_world = read_sun(sequence.path)
-    T_world_cam = true_poses(sequence)
+    T_world_cam = _poses_from_the_first(sequence)
     fields = []
     directions = []
     prev_left = None
@@ -124,9 +124,6 @@ def read_views(
             directions.append(C_world_cam.T @ sun_world)
         if on_frame is not None:
             on_frame(frame.index + 1)
-    if not fields:
-        what = f"none of its first {num_frames} frames has a true pose."
-        raise InputError(sequence.path, what, "Use more frames, or another recording.")
     return SunViews(np.array(fields), np.array(directions))
 
 
@@ -134,10 +131,25 @@ def check_sun_recording(sequence: Sequence) -> None:
     """Refuse a recording from which the sun cannot be learned.
 
     Raises:
-        InputError: it has no images, no truth or no ``sun.txt``, or sees too little.
+        InputError: it has no images, no truth of its first frame or no ``sun.txt``, or sees too
+            little.
     """
-    true_poses(sequence)
+    _poses_from_the_first(sequence)
     read_sun(sequence.path)
+
+
+def _poses_from_the_first(sequence: Sequence) -> FloatArray:
+    """Return T_world_cam, [K, 4, 4], in which the world is the camera of the first frame.
+
+    Raises:
+        InputError: the true pose of the first frame is unknown, or as ``true_poses`` raises.
+    """
+    T_world_cam = true_poses(sequence)
+    # A truth that begins later is relative to its first known pose, another camera than sun.txt is.
+    if not np.isfinite(T_world_cam[0]).all():
+        what = f"the true pose of its first frame is unknown, in whose camera {SUN_FILE} is."
+        raise InputError(sequence.path, what, "Take a recording whose truth begins with it.")
+    return T_world_cam
 
 
 def read_sun(folder: Path) -> FloatArray:
