@@ -22,7 +22,7 @@ from probevo.measurements.sensor import NoMeasurement  # noqa: E402
 from probevo.nets.recorded_training import _origin  # noqa: E402
 from probevo.nets.sun_network import SPACE, SunNetwork  # noqa: E402
 from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
-from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
+from probevo.nets.sun_training import calibrated, errors_of, errors_on, train_sun  # noqa: E402
 from probevo.nets.sun_views import (  # noqa: E402
     SunViews,
     check_sun_recording,
@@ -183,6 +183,27 @@ def test_it_measures_twice_a_second_and_not_without_an_image(
     in_enu = SunFromImages(network, sequence.camera, lambda _: SUN, north=NORTH)
     (direction,) = list(in_enu(frames[4], frames[5]))
     assert NORTH in direction.variables
+
+
+def test_errors_are_those_of_the_measurements_of_a_run(model: Path, walls: list[Path]) -> None:
+    sequence = open_sequence(walls[1])
+    network = SunNetwork.load(model)
+    network = replace(network, facts={**network.facts, "correlation": 4.0})
+    path = walls[1].with_name("correlated.safetensors")
+    network.save(path)
+    sensor = SunFromImages.load(path, sequence)
+    frames = list(sequence)
+    answers = [sensor(frames[k - 1], frames[k]) for k in range(1, FRAMES)]
+    measured = [answer[0] for answer in answers if not isinstance(answer, NoMeasurement)]
+    found = errors_on(path, sequence)
+    assert sequence.truth is not None
+    expected = [
+        each.residual({each.pose: np.linalg.inv(sequence.truth.T_world_cam[each.pose.frame])})
+        for each in measured
+    ]
+    np.testing.assert_allclose(found.errors, expected, atol=1e-5)
+    covariances = [each.covariance for each in measured]
+    np.testing.assert_allclose(found.covariances, covariances, rtol=1e-5)
 
 
 @pytest.mark.usefixtures("undrawn")
