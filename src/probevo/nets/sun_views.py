@@ -148,7 +148,9 @@ def read_views(
             on_frame(frame.index + 1)
     if not fields:
         what = f"the sensor measures none of its {num_frames} frames whose true pose is known."
-        raise InputError(sequence.path, what, "Take a longer recording: it measures twice a second.")
+        raise InputError(
+            sequence.path, what, "Take a longer recording: it measures twice a second."
+        )
     return SunViews(np.array(fields), np.array(directions))
 
 
