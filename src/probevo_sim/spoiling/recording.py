@@ -191,7 +191,11 @@ def _occluded(pair: _Pair, plan: FramePlan, burst_rng: np.random.Generator) -> _
     u = burst_rng.uniform(0.0, 0.7) * width
     v = burst_rng.uniform(0.0, 0.6) * height
     step_px = burst_rng.uniform(-0.05, 0.05) * width
-    u += plan.position * step_px
+    # Half of it or more stays within the width of both images. Where it would leave, it comes in
+    # again on the other side.
+    leftmost = disparity_px - 0.5 * patch.shape[1]
+    rightmost = width - 0.5 * patch.shape[1]
+    u = leftmost + (u + plan.position * step_px - leftmost) % (rightmost - leftmost)
     return _Pair(
         effects.pasted(pair.left, patch, (u, v)),
         effects.pasted(pair.right, patch, (u - disparity_px, v)),
