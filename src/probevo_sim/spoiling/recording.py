@@ -65,11 +65,20 @@ class SpoiledRecording(ImageRecording):
         """Plan how to spoil a recording; nothing is read yet.
 
         Raises:
-            InputError: it has no images, or hardly any frame is left.
+            InputError: it has no images, hardly any frame is left, or a distortion leaves the
+                corners of its images without anything to show.
         """
         if original.camera.size_px is None:
             what = f"the format {original.format} has no images."
             raise InputError(original.path, what, "Only recordings of images can be spoiled.")
+        _, k1 = config.wrong_calibration
+        strongest = effects.strongest_barrel(original.camera)
+        if -k1 > strongest:
+            what = f"with {k1:g}, nothing is seen in the corners of the images of this camera."
+            cure = (
+                f"The strongest that shows something there is -{np.floor(1e4 * strongest) / 1e4:g}."
+            )
+            raise InputError("radial_distortion", what, cure)
         plans = plan_frames(config, len(original))
         kept = np.array([plan.effect != "dropped" for plan in plans])
         if kept.sum() < MIN_FRAMES:

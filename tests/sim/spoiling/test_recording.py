@@ -1,6 +1,7 @@
 """A spoiled recording: its frames, its record, and what it refuses."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from probevo.errors import InputError
 from probevo.sequences import Frame, open_sequence
 from probevo_sim.spoiling.config import PresetName, SpoilConfig
+from probevo_sim.spoiling.effects import strongest_barrel
 from probevo_sim.spoiling.plan import FramePlan
 from probevo_sim.spoiling.recording import (
     RECORD,
@@ -154,6 +156,17 @@ def test_what_is_written_is_read_back_with_its_record(original: Path, tmp_path: 
     record = json.loads((tmp_path / "out" / RECORD).read_text())
     assert record == recording.record()
     assert record["settings"]["seed"] == 5
+
+
+def test_a_distortion_that_reaches_no_corner_is_refused(original: Path) -> None:
+    sequence = open_sequence(original)
+    wide = replace(sequence, camera=replace(sequence.camera, fu_px=40.0, fv_px=40.0))
+    strongest = strongest_barrel(wide.camera)
+    config = SpoilConfig(preset="calibration", radial_distortion=-1.01 * strongest)
+    with pytest.raises(InputError, match="nothing is seen in the corners"):
+        SpoiledRecording.of(wide, config)
+    config = SpoilConfig(preset="calibration", radial_distortion=-0.99 * strongest)
+    assert len(SpoiledRecording.of(wide, config)) == FRAMES
 
 
 def test_what_cannot_be_spoiled_is_refused(original: Path, tmp_path: Path) -> None:
