@@ -30,10 +30,10 @@ def shaken(image: Image, way_px: FloatArray) -> Image:
     return _grey(total / len(shares))
 
 
-def optical_flow(before: Image, after: Image) -> FloatArray:
-    """Return the flow of each pixel from one image to a later one, [height, width, 2], px."""
+def optical_flow(image: Image, other: Image) -> FloatArray:
+    """Return the flow of each pixel of an image to another one, [height, width, 2], px."""
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    flow: FloatArray = method.calc(before, after, None)  # type: ignore[call-overload]
+    flow: FloatArray = method.calc(image, other, None)  # type: ignore[call-overload]
     return flow
 
 

@@ -157,12 +157,13 @@ class SpoiledRecording(ImageRecording):
             way_px = length_px * np.array([np.cos(angle), np.sin(angle)])
             return pair.each(lambda image, _: effects.shaken(image, way_px))
         if plan.effect == "flow_blur" and before is not None:
+            # The flow of the pixels of this frame, back to the one before: the way is the same.
             return _Pair(
                 effects.blurred_along(
-                    pair.left, effects.optical_flow(before.left, pair.left), amount
+                    pair.left, effects.optical_flow(pair.left, before.left), amount
                 ),
                 effects.blurred_along(
-                    pair.right, effects.optical_flow(before.right, pair.right), amount
+                    pair.right, effects.optical_flow(pair.right, before.right), amount
                 ),
             )
         if plan.effect == "darkness":

@@ -10,7 +10,7 @@ import pytest
 from probevo.errors import InputError
 from probevo.sequences import Frame, open_sequence
 from probevo_sim.spoiling.config import PresetName, SpoilConfig
-from probevo_sim.spoiling.effects import strongest_barrel
+from probevo_sim.spoiling.effects import strongest_barrel, texture
 from probevo_sim.spoiling.plan import FramePlan
 from probevo_sim.spoiling.recording import (
     RECORD,
@@ -156,6 +156,25 @@ def test_what_is_written_is_read_back_with_its_record(original: Path, tmp_path: 
     record = json.loads((tmp_path / "out" / RECORD).read_text())
     assert record == recording.record()
     assert record["settings"]["seed"] == 5
+
+
+def test_blur_along_the_flow_is_where_things_are_in_the_frame(original: Path) -> None:
+    """And not where they were in the frame before: here at what moves 20 px to the right."""
+    rng = np.random.default_rng(0)
+    background = texture((120, 240), rng)
+    thing = texture((60, 80), rng)
+    shown = []
+    for u in (80, 100):
+        image = background.copy()
+        image[30:90, u : u + 80] = thing
+        shown.append(_Pair(image, image))
+    before, pair = shown
+    plan = FramePlan("flow_blur", 1.0, burst=0)
+    blurred = spoiled(original)._spoiled(pair, plan, index=1, before=before)
+    change = np.abs(blurred.left.astype(float) - pair.left)[45:75].mean(axis=0)
+    ahead = change[160:178].mean()
+    behind = change[80:98].mean()
+    assert ahead > 1.2 * behind
 
 
 def test_a_distortion_that_reaches_no_corner_is_refused(original: Path) -> None:
