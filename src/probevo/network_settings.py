@@ -63,7 +63,12 @@ class NetworkSettings(Settings):
         le=100_000,
         description="Epochs without a better likelihood of the data left out, before it stops.",
     )
-    batch: int = Field(32, ge=1, le=100_000, description="Samples in a step of the optimiser.")
+    batch: int = Field(
+        32,
+        ge=1,
+        le=100_000,
+        description="Samples in a step of the optimiser; all of them where there are fewer.",
+    )
     learning_rate: float = Field(1e-4, gt=0, le=1, description="Learning rate of Adam.")
     rotation_only: bool = Field(
         False,

@@ -130,7 +130,7 @@ def kind_of_file(path: Path) -> SensorKind:
     """
     resolve(_REQUIRE)("--sensor")
     name = resolve(_READ_FACTS)(path).get("kind")
-    if name not in SENSOR_KINDS:
+    if not isinstance(name, str) or name not in SENSOR_KINDS:
         known = ", ".join(SENSOR_KINDS)
         what = f"it holds no sensor of a known kind, but {name!r}."
         raise InputError(path, what, f"Known are {known}: probevo train … --kind {known}.")
@@ -143,11 +143,17 @@ def recordings_of_file(path: Path) -> frozenset[str]:
     Those left out count, too: they stopped the training and calibrated the sensor.
 
     Raises:
-        InputError: it cannot be read, or the extra ``nets`` is not installed.
+        InputError: it cannot be read, names no recordings, or the extra ``nets`` is not installed.
     """
     resolve(_REQUIRE)("--sensor")
     facts = resolve(_READ_FACTS)(path)
-    return frozenset((*facts.get("learned_from", ()), *facts.get("left_out", ())))
+    names: set[str] = set()
+    for key in ("learned_from", "left_out"):
+        named = facts.get(key, [])
+        if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+            raise InputError(f"{path}: {key}", "it is no list of names.", "Train it again.")
+        names.update(named)
+    return frozenset(names)
 
 
 def trainer_of_sensor(kind: SensorKind) -> Callable[..., Any]:

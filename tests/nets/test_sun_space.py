@@ -23,8 +23,10 @@ def directions(count: int, seed: int) -> np.ndarray:
 
 
 def test_errors_are_those_of_the_measurement() -> None:
-    estimates = directions(30, 0)
-    truths = directions(30, 1)
+    """Also of a sun straight above or below the camera, and of an estimate opposite to it."""
+    special = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1e-5, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    estimates = np.concatenate([directions(30, 0), directions(3, 9), [[0.0, 0.0, 1.0]]])
+    truths = np.concatenate([directions(30, 1), special])
     with jax.enable_x64(True):
         errors = np.asarray(SPACE.difference(*map(jax.numpy.asarray, (estimates, truths))))
     pose = pose_of(3)
@@ -36,12 +38,21 @@ def test_errors_are_those_of_the_measurement() -> None:
 
 
 def test_a_perturbed_direction_has_that_error() -> None:
-    truths = directions(10, 2)
-    errors = np.random.default_rng(3).normal(0.0, 1e-3, (10, 2))
+    truths = np.concatenate([directions(10, 2), [[0.0, -1.0, 0.0]]])
+    errors = np.random.default_rng(3).normal(0.0, 1e-3, (11, 2))
     with jax.enable_x64(True):
         moved = SPACE.perturb(*map(jax.numpy.asarray, (truths, errors)))
         found = np.asarray(SPACE.difference(moved, jax.numpy.asarray(truths)))
     np.testing.assert_allclose(found, errors, atol=1e-5)
+
+
+def test_derivatives_are_finite_where_there_is_no_azimuth() -> None:
+    """By the true direction, too: the derivative of the root is infinite at zero."""
+    up = jax.numpy.array([0.0, -1.0, 0.0])
+    estimate = jax.numpy.array([0.6, -0.8, 0.0])
+    for function in (SPACE.difference, lambda one, other: SPACE.perturb(other, one[:2])):
+        for argument in (0, 1):
+            assert np.isfinite(jax.jacobian(function, argument)(estimate, up)).all()
 
 
 def test_whitened_errors_have_the_covariance_of_the_head() -> None:

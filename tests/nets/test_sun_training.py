@@ -22,8 +22,14 @@ from probevo.measurements.sensor import NoMeasurement  # noqa: E402
 from probevo.nets.recorded_training import _origin  # noqa: E402
 from probevo.nets.sun_network import SPACE, SunNetwork  # noqa: E402
 from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
-from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
-from probevo.nets.sun_views import SunViews, read_sun, read_views, sun_field  # noqa: E402
+from probevo.nets.sun_training import calibrated, errors_of, errors_on, train_sun  # noqa: E402
+from probevo.nets.sun_views import (  # noqa: E402
+    SunViews,
+    check_sun_recording,
+    read_sun,
+    read_views,
+    sun_field,
+)
 from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 
@@ -179,6 +185,27 @@ def test_it_measures_twice_a_second_and_not_without_an_image(
     assert NORTH in direction.variables
 
 
+def test_errors_are_those_of_the_measurements_of_a_run(model: Path, walls: list[Path]) -> None:
+    sequence = open_sequence(walls[1])
+    network = SunNetwork.load(model)
+    network = replace(network, facts={**network.facts, "correlation": 4.0})
+    path = walls[1].with_name("correlated.safetensors")
+    network.save(path)
+    sensor = SunFromImages.load(path, sequence)
+    frames = list(sequence)
+    answers = [sensor(frames[k - 1], frames[k]) for k in range(1, FRAMES)]
+    measured = [answer[0] for answer in answers if not isinstance(answer, NoMeasurement)]
+    found = errors_on(path, sequence)
+    assert sequence.truth is not None
+    expected = [
+        each.residual({each.pose: np.linalg.inv(sequence.truth.T_world_cam[each.pose.frame])})
+        for each in measured
+    ]
+    np.testing.assert_allclose(found.errors, expected, atol=1e-5)
+    covariances = [each.covariance for each in measured]
+    np.testing.assert_allclose(found.covariances, covariances, rtol=1e-5)
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_train_run_and_inspect(
     walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -204,15 +231,16 @@ def test_train_run_and_inspect(
     assert "Saliency" in (seen / "inspection.html").read_text()
 
 
-def test_a_recording_without_a_true_pose_in_its_frames_is_refused(
-    walls: list[Path], tmp_path: Path
-) -> None:
+def test_a_recording_whose_truth_begins_late_is_refused(walls: list[Path], tmp_path: Path) -> None:
+    """Its truth is relative to the first known pose, and ``sun.txt`` to the first frame."""
     late = shutil.copytree(walls[0], tmp_path / "late")
     poses = (late / "poses.txt").read_text().splitlines()
     unknown = " ".join(["nan"] * len(poses[0].split()))
     (late / "poses.txt").write_text("\n".join([unknown] * 5 + poses[5:]) + "\n")
-    with pytest.raises(InputError, match="none of its first 4 frames has a true pose"):
-        read_views(open_sequence(late), 4)
+    sequence = open_sequence(late)
+    for refuses in (check_sun_recording, lambda recording: read_views(recording, FRAMES)):
+        with pytest.raises(InputError, match="true pose of its first frame is unknown"):
+            refuses(sequence)
 
 
 def test_repeated_images_are_left_out(walls: list[Path], tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,20 @@ import pytest
 pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 pytest.importorskip("equinox")
 
+from safetensors.numpy import save
+
 from probevo.errors import InputError
 from probevo.nets.methods import Method
-from probevo.nets.network_file import write_network_file
+from probevo.nets.network_file import FORMAT, VERSION, _checksum, write_network_file
 from probevo.nets.trained_network import (
+    empty_domain,
     facts_of_kind,
     first_facts,
     kept_lines,
     kept_text,
+    read_arrays,
 )
+from probevo.sensor_kinds import kind_of_file, recordings_of_file
 
 KIND = "sun"
 
@@ -94,3 +101,47 @@ def test_numbers_of_epochs_that_cannot_be_are_refused(
 ) -> None:
     with pytest.raises(InputError, match="epoch"):
         read_back(tmp_path, further)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, "2", None, True, [1.0], 10**400])
+def test_a_factor_that_is_no_positive_number_is_refused(tmp_path: Path, scale: object) -> None:
+    with pytest.raises(InputError, match="not a complete network of kind sun"):
+        read_back(tmp_path, {"scale": scale})
+
+
+@pytest.mark.parametrize("scale", ["Infinity", "NaN"])
+def test_a_factor_that_is_not_finite_is_refused(tmp_path: Path, scale: str) -> None:
+    """Python's JSON has these, and the checksum holds."""
+    method = json.dumps(asdict(Method("sigma", learns_covariance=True)))
+    text = f'{{"kind": "sun", "method": {method}, "scale": {scale}}}'
+    entry = {"checksum": _checksum(text, {}), "facts": text, "version": VERSION}
+    file = tmp_path / "network.safetensors"
+    file.write_bytes(save({}, {FORMAT: json.dumps(entry)}))
+    with pytest.raises(InputError, match=r"not a complete network of kind sun .*scale is"):
+        facts_of_kind(file, "sun")
+
+
+@pytest.mark.parametrize("kind", [["sun"], {}, None, 3, "moon"])
+def test_a_kind_that_is_none_is_refused(tmp_path: Path, kind: object) -> None:
+    file = tmp_path / "network.safetensors"
+    write_network_file(file, {}, {"kind": kind})
+    with pytest.raises(InputError, match="no sensor of a known kind"):
+        kind_of_file(file)
+
+
+@pytest.mark.parametrize("names", [5, "drive", [5], {"drive": 1}, None])
+@pytest.mark.parametrize("key", ["learned_from", "left_out"])
+def test_recordings_that_are_no_names_are_refused(tmp_path: Path, key: str, names: object) -> None:
+    file = tmp_path / "network.safetensors"
+    write_network_file(file, {}, {"kind": "sun", "learned_from": ["one"], key: names})
+    with pytest.raises(InputError, match=f"{key}: it is no list of names"):
+        recordings_of_file(file)
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "network.safetensors"
+    domain = empty_domain(2)
+    for bad in (np.nan, np.inf):
+        write_network_file(file, ({"weight": np.array([1.0, bad])}, domain), {})
+        with pytest.raises(InputError, match=r"weight'.*not finite"):
+            read_arrays(file, {"weight": np.zeros(2)}, 2)

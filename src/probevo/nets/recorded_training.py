@@ -104,6 +104,7 @@ class TrainingRun:
             augment: makes random copies of what is learned from, as many as the settings say.
         """
         settings = self.settings
+        copies = 1 if augment is None else self.num_copies
         # The file's name depends on all that the training depends on.
         facts = [self.recordings, self.origins, settings.model_dump(mode="json"), self.extra]
         trained = learn(
@@ -120,9 +121,9 @@ class TrainingRun:
             ),
             plan=LearningPlan(
                 epochs=settings.epochs,
-                batch=settings.batch,
+                batch=min(settings.batch, copies * len(learned[0])),
                 learning_rate=settings.learning_rate,
-                copies=1 if augment is None else self.num_copies,
+                copies=copies,
                 patience=settings.patience,
                 calibrated_after=True,
                 keep_every=1,

@@ -39,6 +39,14 @@ class SunEstimates(NamedTuple):
 class SunNetwork(TrainedNetwork):
     """A trained network of the sun."""
 
+    @property
+    def correlation(self) -> float:
+        """Factor on the covariance of each measurement of a run.
+
+        Errors of successive ones are alike, and their sum has to be consistent.
+        """
+        return float(self.facts["correlation"])
+
     def estimate(self, fields: FloatArray) -> SunEstimates:
         """Return directions and covariances of N images.
 

@@ -14,13 +14,10 @@ from probevo.measurements.sensor import NoMeasurement
 from probevo.measurements.variables import Variable, pose_of
 from probevo.nets.flow_field import check_field_of_view
 from probevo.nets.sun_network import SunNetwork
-from probevo.nets.sun_views import read_sun, sun_field
+from probevo.nets.sun_views import begins_period, read_sun, sun_field
 from probevo.nets.trained_network import is_beyond_domain
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
-
-PERIOD_NS = 500_000_000
-"""Time from one measurement to the next: successive images see the same street."""
 
 
 class SunFromImages:
@@ -67,8 +64,7 @@ class SunFromImages:
 
     def __call__(self, prev_frame: Frame, frame: Frame) -> list[Direction] | NoMeasurement:
         """Return the direction of the sun with its covariance, or why there is none."""
-        # The first frame of each period measures: stamps decide, so that no state is kept.
-        if prev_frame.stamp_ns // PERIOD_NS == frame.stamp_ns // PERIOD_NS:
+        if not begins_period(prev_frame, frame):
             return NoMeasurement("measured less than half a second ago")
         if frame.left is None:
             return NoMeasurement("no image")
@@ -79,14 +75,11 @@ class SunFromImages:
         estimates = self.network.estimate(sun_field(frame.left, self.camera)[None])
         if is_beyond_domain(float(estimates.widening[0])):
             return NoMeasurement("out of its domain")
-        # Errors of successive measurements are alike: each claims more, so that their sum is
-        # consistent.
-        correlated = float(self.network.facts["correlation"])
         measured = Direction(
             pose_of(frame.index),
             estimates.directions[0],
             self.known(frame.stamp_ns),
-            correlated * estimates.covariance[0],
+            self.network.correlation * estimates.covariance[0],
             north=self.north,
         )
         return [measured]

@@ -23,7 +23,9 @@ COVARIANCE = TriangularCovariance(
     dof=2, least=MIN_SIGMA_RAD, most=MAX_SIGMA_RAD, first=FIRST_SIGMA_RAD
 )
 MIN_LENGTH = 1e-9
-"""Added to squared lengths: at the zenith, and where there is no error."""
+"""Added to squared lengths, which may be zero where there is no error."""
+MIN_LEVEL_SQ = 1e-24
+"""Squared sine of the zenith angle below which a direction has no azimuth."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,7 @@ class SunTargets:
         x = targets[..., 0]
         y = targets[..., 1]
         z = targets[..., 2]
-        level = jnp.sqrt(x**2 + z**2 + MIN_LENGTH)
-        sine = x / level
-        cosine = z / level
+        sine, cosine, level = _azimuth(x, z)
         u = estimates[..., 0]
         v = estimates[..., 1]
         w = estimates[..., 2]
@@ -59,20 +59,23 @@ class SunTargets:
         along = u * x + v * y + w * z
         # Log: the angle between both, along the direction of the tangential part
         factor = jnp.arctan2(across, along) / across
-        return jnp.stack([factor * azimuth_part, factor * zenith_part], axis=-1)
+        errors = jnp.stack([factor * azimuth_part, factor * zenith_part], axis=-1)
+        # The opposite direction is off by π in any direction: choose one.
+        is_opposite = (azimuth_part**2 + zenith_part**2 < MIN_LENGTH) & (along < 0.0)
+        return jnp.where(is_opposite[..., None], jnp.array([jnp.pi, 0.0]), errors)
 
     def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
         """Return the directions moved by errors along azimuth and zenith angle, to first order."""
         x = targets[..., 0]
         y = targets[..., 1]
         z = targets[..., 2]
-        level = jnp.sqrt(x**2 + z**2 + MIN_LENGTH)
+        sine, cosine, level = _azimuth(x, z)
         azimuth = errors[..., 0]
         zenith = errors[..., 1]
         moved = [
-            x + azimuth * z / level - zenith * y * x / level,
+            x + azimuth * cosine - zenith * y * sine,
             y + zenith * level,
-            z - azimuth * x / level - zenith * y * z / level,
+            z - azimuth * sine - zenith * y * cosine,
         ]
         return _unit(jnp.stack(moved, axis=-1))
 
@@ -100,6 +103,22 @@ class SunTargets:
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return Σ, [..., 2, 2], rad²."""
         return COVARIANCE.covariance(raw)
+
+
+def _azimuth(x: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return sine and cosine of the azimuth of unit vectors, and the sine of their zenith angle.
+
+    Straight up and straight down the azimuth is zero, as in ``measurements.direction``.
+    """
+    level_sq = x**2 + z**2
+    has_azimuth = level_sq > MIN_LEVEL_SQ
+    # The root of a number other than zero also where it is not used: its derivative is finite.
+    level = jnp.sqrt(jnp.where(has_azimuth, level_sq, 1.0))
+    return (
+        jnp.where(has_azimuth, x / level, 0.0),
+        jnp.where(has_azimuth, z / level, 1.0),
+        jnp.where(has_azimuth, level, 0.0),
+    )
 
 
 def _unit(vectors: jax.Array) -> jax.Array:

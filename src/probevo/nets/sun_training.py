@@ -145,16 +145,17 @@ def errors_of(network: SunNetwork, views: SunViews) -> Claimed:
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
-    """Return the errors of a network on a recording with truth.
+    """Return the errors of a network on a recording with truth, where a run measures.
 
     Raises:
         InputError: the file cannot be read, the network measures nothing there, or the recording
             lacks images, truth or ``sun.txt``.
     """
     network = SunNetwork.load(path)
-    views = read_views(sequence, len(sequence))
+    views = read_views(sequence, len(sequence), is_thinned=True)
+    claimed = errors_of(network, views)
     return sensor_errors(
-        errors_of(network, views),
+        claimed._replace(covariances=network.correlation * claimed.covariances),
         network.facts,
         path=sequence.path,
         saliency=saliency(network, SPACE, views.fields, views.directions),

@@ -1,7 +1,7 @@
 """Single images as a network sees them, with the true direction of the sun.
 
 Where the sun stands is said by ``sun.txt`` in the folder of a recording: a direction towards it, x
-y z, in the world of its true poses, which is the first camera. Rendered scenes have the file.
+y z, in the camera of the first frame. Rendered scenes have the file.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from probevo.nets.flow_field import CELL_PX, MIN_LEVELS, cell_means, virtual_vie
 from probevo.nets.image_pairs import true_poses
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
+from probevo.sequences.frame import Frame
 from probevo.storage.files import check_regular
 
 MAX_BYTES = 10_000
@@ -33,6 +34,9 @@ MIN_SPREAD = 1e-3
 """Standard deviation of a channel over the cells that counts as none."""
 BLUR_PX = 1.5
 """Blur of the image before its gradients are taken."""
+
+PERIOD_NS = 500_000_000
+"""Time from one measurement to the next: successive images see the same street."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +95,21 @@ def image_statistics(fields: FloatArray) -> FloatArray:
     return np.concatenate([means, np.log(spreads + MIN_SPREAD)], axis=1)
 
 
+def begins_period(prev_frame: Frame, frame: Frame) -> bool:
+    """Return whether a frame is the first of its half second, which the sensor measures.
+
+    The stamps decide, so that no state is kept. Where that frame repeats an image, none is measured
+    in its half second.
+    """
+    return prev_frame.stamp_ns // PERIOD_NS != frame.stamp_ns // PERIOD_NS
+
+
 def read_views(
-    sequence: Sequence, num_frames: int, on_frame: Callable[[int], None] | None = None
+    sequence: Sequence,
+    num_frames: int,
+    on_frame: Callable[[int], None] | None = None,
+    *,
+    is_thinned: bool = False,
 ) -> SunViews:
     """Go through a recording, and return the images whose true pose is known.
 
@@ -102,31 +119,38 @@ def read_views(
         sequence: the recording.
         num_frames: frames to read.
         on_frame: called with the number of frames done.
+        is_thinned: whether only the images are returned that the sensor measures, two a second.
 
     Raises:
-        InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, a
-            faulty frame, or no frame with a true pose.
+        InputError: it has no images, no truth of its first frame or no ``sun.txt``, a camera that
+            sees too little, a faulty frame, or no image that is returned.
     """
     sun_world = read_sun(sequence.path)
-    T_world_cam = true_poses(sequence)
+    T_world_cam = _poses_from_the_first(sequence)
     fields = []
     directions = []
-    prev_left = None
+    prev_frame: Frame | None = None
     for frame in islice(sequence, num_frames):
         if frame.left is None:
             raise InputError(sequence.path, "there are no images.", "Networks need images.")
         C_world_cam = T_world_cam[frame.index, :3, :3]
-        is_repeated = prev_left is not None and np.array_equal(frame.left, prev_left)
-        prev_left = frame.left
-        if np.isfinite(C_world_cam).all() and not is_repeated:
+        if prev_frame is None or prev_frame.left is None:
+            is_taken = not is_thinned
+        else:
+            is_measured = not is_thinned or begins_period(prev_frame, frame)
+            is_taken = is_measured and not np.array_equal(frame.left, prev_frame.left)
+        prev_frame = frame
+        if is_taken and np.isfinite(C_world_cam).all():
             fields.append(sun_field(frame.left, sequence.camera))
             # The sun is so far away that only the attitude of the camera counts.
             directions.append(C_world_cam.T @ sun_world)
         if on_frame is not None:
             on_frame(frame.index + 1)
     if not fields:
-        what = f"none of its first {num_frames} frames has a true pose."
-        raise InputError(sequence.path, what, "Use more frames, or another recording.")
+        what = f"the sensor measures none of its {num_frames} frames whose true pose is known."
+        raise InputError(
+            sequence.path, what, "Take a longer recording: it measures twice a second."
+        )
     return SunViews(np.array(fields), np.array(directions))
 
 
@@ -134,10 +158,25 @@ def check_sun_recording(sequence: Sequence) -> None:
     """Refuse a recording from which the sun cannot be learned.
 
     Raises:
-        InputError: it has no images, no truth or no ``sun.txt``, or sees too little.
+        InputError: it has no images, no truth of its first frame or no ``sun.txt``, or sees too
+            little.
     """
-    true_poses(sequence)
+    _poses_from_the_first(sequence)
     read_sun(sequence.path)
+
+
+def _poses_from_the_first(sequence: Sequence) -> FloatArray:
+    """Return T_world_cam, [K, 4, 4], in which the world is the camera of the first frame.
+
+    Raises:
+        InputError: the true pose of the first frame is unknown, or as ``true_poses`` raises.
+    """
+    T_world_cam = true_poses(sequence)
+    # A truth that begins later is relative to its first known pose, another camera than sun.txt is.
+    if not np.isfinite(T_world_cam[0]).all():
+        what = f"the true pose of its first frame is unknown, in whose camera {SUN_FILE} is."
+        raise InputError(sequence.path, what, "Take a recording whose truth begins with it.")
+    return T_world_cam
 
 
 def read_sun(folder: Path) -> FloatArray:

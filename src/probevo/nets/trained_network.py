@@ -20,7 +20,12 @@ from probevo.nets import methods
 from probevo.nets.calibration import Claimed
 from probevo.nets.domain import FARTHEST, Domain
 from probevo.nets.methods import Method, Prediction
-from probevo.nets.network_file import read_facts, read_network_file, write_network_file
+from probevo.nets.network_file import (
+    named_arrays,
+    read_facts,
+    read_network_file,
+    write_network_file,
+)
 from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 from probevo.sensor_kinds import SensorErrors
@@ -102,13 +107,15 @@ def facts_of_kind(path: Path, kind: str, numbers: Collection[str] = ()) -> dict[
     """
     facts = read_facts(path)
     try:
-        is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
+        is_of_kind = facts["kind"] == kind
         _check_method(Method(**facts["method"]))
         _check_epochs(facts)
-        for name in numbers:
-            if not 0.0 <= float(facts[name]) < np.inf:
+        for name in ("scale", *numbers):
+            if type(facts[name]) not in (int, float) or not 0.0 <= float(facts[name]) < np.inf:
                 raise ValueError(f"{name} is {facts[name]!r}")
-    except (KeyError, TypeError, ValueError) as error:
+        if facts["scale"] == 0.0:
+            raise ValueError("scale is 0")
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         what = f"it is not a complete network of kind {kind} ({error})."
         raise InputError(path, what, cure_of(kind)) from error
     if not is_of_kind:
@@ -193,9 +200,14 @@ def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network,
         num_features: that the trunk gives.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or has other arrays.
+        InputError: the file cannot be read, is damaged, or has other arrays or numbers that are
+            not finite.
     """
-    networks, domain = read_network_file(path, (empty, empty_domain(num_features)))
+    tree = read_network_file(path, (empty, empty_domain(num_features)))
+    for name, array in named_arrays(tree).items():
+        if not np.isfinite(array).all():
+            raise InputError(f"{path}: {name}", "it is not finite.", "Train it again.")
+    networks, domain = tree
     return networks, Domain(*(np.asarray(part) for part in domain))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,9 @@ FULL_READOUT_S = 0.06
 """Time from the first row of an image to the last one, at full rolling shutter."""
 ROWS_AT_ONCE = 2
 """Rows of a rolling shutter that are rendered as of one time."""
+LANDING_STEPS = 8
+"""Largest number of steps in which it is found which row sees a point next; each gains a factor:
+the share of a row by which the point moves until the next row is exposed."""
 OFFSETS_PX = np.array([[-0.375, -0.125], [-0.125, 0.375], [0.125, -0.375], [0.375, 0.125]])
 """Rays through a pixel, (u, v) from its centre: each in a column and a row of its own."""
 FOOTPRINT_PX = 0.5
@@ -44,7 +48,8 @@ FloatImage = NDArray[np.float32]
 class PixelTruth:
     """The truth about the centre of each pixel of a left image at the middle of its exposure.
 
-    All fields are [height, width] unless stated otherwise.
+    With a rolling shutter, that is the time of its row. All fields are [height, width] unless
+    stated otherwise.
     """
 
     depth_m: FloatArray
@@ -55,7 +60,8 @@ class PixelTruth:
     """Motion (du, dv) in the image, until the next frame, of the point that is seen here.
 
     It is given whether or not the point is occluded there, [height, width, 2]; NaN where the point
-    would be behind the camera."""
+    would be behind the camera. With a rolling shutter, the point is where the row in which it lies
+    then sees it."""
     moving: BoolArray
     """Whether the pixel shows an object that can move, even if it halts just now.
 
@@ -115,17 +121,23 @@ class Renderer:
             offsets_px: rays through a pixel, [K, 2].
             images: left and right, [2, height, width].
         """
+        for rows, row_time_s in self._row_blocks(t_s):
+            self._add_rows(row_time_s, offsets_px, images[:, rows], top=rows.start)
+
+    def _row_blocks(self, t_s: float) -> Iterator[tuple[slice, float]]:
+        """Yield the rows of a frame that are exposed at one time, from the top, and that time, s.
+
+        The middle row is exposed at the time of the frame, ``t_s``.
+        """
+        height = self.size_px[1]
         readout_s = FULL_READOUT_S * self.effects.rolling_shutter
         if readout_s == 0.0:
-            self._add_rows(t_s, offsets_px, images)
+            yield slice(0, height), t_s
             return
-        # The middle row is exposed at the time of the frame.
-        height = self.size_px[1]
         for top in range(0, height, ROWS_AT_ONCE):
-            rows = images[:, top : top + ROWS_AT_ONCE]
-            middle = top + 0.5 * (rows.shape[1] - 1)
-            row_time_s = t_s + readout_s * (middle / (height - 1) - 0.5)
-            self._add_rows(row_time_s, offsets_px, rows, top=top)
+            rows = slice(top, min(top + ROWS_AT_ONCE, height))
+            middle = 0.5 * (rows.start + rows.stop - 1)
+            yield rows, t_s + readout_s * (middle / (height - 1) - 0.5)
 
     def _add_rows(
         self, t_s: float, offsets_px: FloatArray, images: FloatImage, top: int = 0
@@ -179,36 +191,48 @@ class Renderer:
 
     def pixel_truth(self, t_s: float, next_s: float) -> PixelTruth:
         """Return the truth of the left image at ``t_s``, and its pixels' flow until ``next_s``."""
-        T_world_cam = self.trajectory.T_world_cam(t_s)
-        T_world_next = self.trajectory.T_world_cam(next_s)
-        T_world_object = self.world.poses(t_s, T_world_cam)
-        view = self._view(T_world_object, T_world_cam)
+        # Motion of each object from its own frame to the camera, as each row sees it next.
+        T_next_object = np.array(
+            [se3.inverse(self._T_object_cam(time_s)) for _, time_s in self._row_blocks(next_s)]
+        )
         shape = self.size_px[::-1]
         depth_m = np.empty(shape)
         hits = np.empty(shape, dtype=np.int32)
-        first_hits(
-            self._scene,
-            view,
-            image_candidates(self._scene, view, self.size_px),
-            depth_m=depth_m,
-            hits=hits,
-        )
-        objects = np.where(hits >= 0, self.world.solids.object_index[np.maximum(hits, 0)], 0)
-
-        # Motion of each object as seen from the camera: to the object's own frame at t_s, and back
-        # out at next_s.
-        T_next_curr = (
-            se3.inverse(T_world_next)
-            @ self.world.poses(next_s, T_world_next)
-            @ se3.inverse(T_world_object)
-            @ T_world_cam
-        )
+        objects = np.empty(shape, dtype=np.int64)
+        flow_px = np.empty((*shape, 2))
+        for rows, row_time_s in self._row_blocks(t_s):
+            T_world_cam = self.trajectory.T_world_cam(row_time_s)
+            view = self._view(
+                self.world.poses(row_time_s, T_world_cam), T_world_cam, top=rows.start
+            )
+            first_hits(
+                self._scene,
+                view,
+                image_candidates(self._scene, view, (shape[1], rows.stop - rows.start)),
+                depth_m=depth_m[rows],
+                hits=hits[rows],
+            )
+            solids = np.maximum(hits[rows], 0)
+            objects[rows] = np.where(hits[rows] >= 0, self.world.solids.object_index[solids], 0)
+            flow_px[rows] = _flow(
+                self.camera,
+                depth_m[rows],
+                objects[rows],
+                top=rows.start,
+                T_object_curr=self._T_object_cam(row_time_s),
+                T_next_object=T_next_object,
+            )
         return PixelTruth(
             depth_m=depth_m,
             disparity_px=self.camera.fu_px * self.camera.baseline_m / depth_m,
-            flow_px=_flow(self.camera, depth_m, objects, T_next_curr=T_next_curr),
+            flow_px=flow_px,
             moving=objects > 0,
         )
+
+    def _T_object_cam(self, t_s: float) -> FloatArray:
+        """Return T_object_cam of each object at a time, [2 + G, 4, 4], m."""
+        T_world_cam = self.trajectory.T_world_cam(t_s)
+        return se3.inverse(self.world.poses(t_s, T_world_cam)) @ T_world_cam
 
     def _view(self, T_world_object: FloatArray, T_world_cam: FloatArray, top: int = 0) -> View:
         """Return the view from a camera whose image begins at row ``top``."""
@@ -217,35 +241,49 @@ class Renderer:
 
 
 def _flow(
-    camera: StereoCamera, depth_m: FloatArray, objects: IntArray, T_next_curr: FloatArray
+    camera: StereoCamera,
+    depth_m: FloatArray,
+    objects: IntArray,
+    *,
+    top: int,
+    T_object_curr: FloatArray,
+    T_next_object: FloatArray,
 ) -> FloatArray:
-    """Return the optical flow of each pixel, [height, width, 2], px.
+    """Return the optical flow of each pixel of rows that are exposed at one time, [R, width, 2],
+    px.
 
     Args:
         camera: the rig.
-        depth_m: depth of each pixel, [height, width]; infinite in the sky.
-        objects: index of the object that each pixel shows, [height, width].
-        T_next_curr: motion of each object as seen from the camera, [2 + G, 4, 4], m.
+        depth_m: depth of each pixel, [R, width]; infinite in the sky.
+        objects: index of the object that each pixel shows, [R, width].
+        top: the first of these rows.
+        T_object_curr: from the camera to each object, [2 + G, 4, 4], m.
+        T_next_object: from each object to the camera when each of B blocks of rows is exposed next,
+            [B, 2 + G, 4, 4], m.
     """
-    v, u = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]].astype(np.float64)
+    v, u = np.mgrid[top : top + len(depth_m), : depth_m.shape[1]].astype(np.float64)
     ray = np.stack(
         [(u - camera.cu_px) / camera.fu_px, (v - camera.cv_px) / camera.fv_px, np.ones_like(u)],
         axis=-1,
     )
     # Points as ray and inverse depth, so that the sky, at infinity, only rotates.
-    moved = np.empty_like(ray)
-    for index in np.unique(objects):
-        shown = objects == index
-        T = T_next_curr[index]
-        moved[shown] = ray[shown] @ T[:3, :3].T + (1.0 / depth_m[shown])[:, None] * T[:3, 3]
-    depth = np.where(moved[..., 2] > 0.0, moved[..., 2], np.nan)
-    return np.stack(
-        [
-            camera.fu_px * moved[..., 0] / depth + camera.cu_px - u,
-            camera.fv_px * moved[..., 1] / depth + camera.cv_px - v,
-        ],
-        axis=-1,
-    )
+    homogeneous = np.concatenate([ray, 1.0 / depth_m[..., None]], axis=-1)
+    in_object = np.einsum("rcij,rcj->rci", T_object_curr[objects], homogeneous)
+    last = len(T_next_object) - 1
+    block = np.full(objects.shape, min(top // ROWS_AT_ONCE, last))
+    for _ in range(LANDING_STEPS):
+        moved = np.einsum("rcij,rcj->rci", T_next_object[block, objects], in_object)
+        depth = np.where(moved[..., 2] > 0.0, moved[..., 2], np.nan)
+        next_u = camera.fu_px * moved[..., 0] / depth + camera.cu_px
+        next_v = camera.fv_px * moved[..., 1] / depth + camera.cv_px
+        # The row in which a point lies says when it is seen, and that says where it lies. Beyond
+        # the image, the time is that of the first or last row.
+        row = np.where(np.isfinite(next_v), next_v, v)
+        landed = np.clip((row + 0.5) // ROWS_AT_ONCE, 0, last).astype(np.int64)
+        if np.array_equal(landed, block):
+            break
+        block = landed
+    return np.stack([next_u - u, next_v - v], axis=-1)
 
 
 def _right_camera(camera: StereoCamera, size_px: tuple[int, int], error: float) -> FloatArray:

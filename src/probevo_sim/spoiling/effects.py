@@ -10,8 +10,11 @@ from probevo.camera.stereo import StereoCamera
 
 BLUR_INSTANTS = 9
 """Instants of an exposure."""
-UNDISTORTED_BY = 20
-"""Fixed-point iterations that invert a radial distortion; each gains a digit or more."""
+UNDISTORTED_BY = 30
+"""Steps of Newton's method that invert a radial distortion; each leaves two thirds of the error at
+most."""
+MIN_SLOPE = 1e-6
+"""Least derivative by which a step divides: with the strongest barrel, it is zero in a corner."""
 
 
 def shaken(image: Image, way_px: FloatArray) -> Image:
@@ -27,10 +30,10 @@ def shaken(image: Image, way_px: FloatArray) -> Image:
     return _grey(total / len(shares))
 
 
-def optical_flow(before: Image, after: Image) -> FloatArray:
-    """Return the flow of each pixel from one image to a later one, [height, width, 2], px."""
+def optical_flow(image: Image, other: Image) -> FloatArray:
+    """Return the flow of each pixel of an image to another one, [height, width, 2], px."""
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    flow: FloatArray = method.calc(before, after, None)  # type: ignore[call-overload]
+    flow: FloatArray = method.calc(image, other, None)  # type: ignore[call-overload]
     return flow
 
 
@@ -110,6 +113,20 @@ def _grey(values: AnyArray) -> Image:
     return image
 
 
+def strongest_barrel(camera: StereoCamera) -> float:
+    """Return the magnitude of a negative k1 beyond which the corners of an image show nothing.
+
+    No radius r is seen farther out than where r (1 + k1 r²) has its maximum: r = 1/√(3 |k1|), seen
+    at two thirds of that.
+    """
+    width, height = camera.size_px or (0, 0)
+    u, v = np.meshgrid([0.0, width - 1.0], [0.0, height - 1.0])
+    x = (u - camera.cu_px) / camera.fu_px
+    y = (v - camera.cv_px) / camera.fv_px
+    # 2 / (3 √(3 |k1|)) = r of the farthest corner
+    return 4.0 / (27.0 * float(np.max(x**2 + y**2)))
+
+
 def distortion_map(camera: StereoCamera, k1: float) -> FloatArray:
     """Return where each pixel of a distorted image comes from, [2, height, width], px, float32.
 
@@ -117,19 +134,23 @@ def distortion_map(camera: StereoCamera, k1: float) -> FloatArray:
 
     Args:
         camera: of the images without distortion.
-        k1: the coefficient.
+        k1: the coefficient, from minus ``strongest_barrel`` on.
     """
     width, height = camera.size_px or (0, 0)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     seen_x = (u - camera.cu_px) / camera.fu_px
     seen_y = (v - camera.cv_px) / camera.fv_px
-    x = seen_x
-    y = seen_y
+    # r of the point from r (1 + k1 r²) of its pixel: from there, no step passes the solution.
+    seen_r = np.hypot(seen_x, seen_y)
+    r = seen_r
     for _ in range(UNDISTORTED_BY):
-        factor = 1.0 + k1 * (x**2 + y**2)
-        x = seen_x / factor
-        y = seen_y / factor
-    source = [camera.cu_px + camera.fu_px * x, camera.cv_px + camera.fv_px * y]
+        slope = np.maximum(1.0 + 3.0 * k1 * r**2, MIN_SLOPE)
+        r = r - (r * (1.0 + k1 * r**2) - seen_r) / slope
+    factor = 1.0 + k1 * r**2
+    source = [
+        camera.cu_px + camera.fu_px * seen_x / factor,
+        camera.cv_px + camera.fv_px * seen_y / factor,
+    ]
     return np.stack(source).astype(np.float32)
 
 

@@ -65,11 +65,20 @@ class SpoiledRecording(ImageRecording):
         """Plan how to spoil a recording; nothing is read yet.
 
         Raises:
-            InputError: it has no images, or hardly any frame is left.
+            InputError: it has no images, hardly any frame is left, or a distortion leaves the
+                corners of its images without anything to show.
         """
         if original.camera.size_px is None:
             what = f"the format {original.format} has no images."
             raise InputError(original.path, what, "Only recordings of images can be spoiled.")
+        _, k1 = config.wrong_calibration
+        strongest = effects.strongest_barrel(original.camera)
+        if -k1 > strongest:
+            what = f"with {k1:g}, nothing is seen in the corners of the images of this camera."
+            cure = (
+                f"The strongest that shows something there is -{np.floor(1e4 * strongest) / 1e4:g}."
+            )
+            raise InputError("radial_distortion", what, cure)
         plans = plan_frames(config, len(original))
         kept = np.array([plan.effect != "dropped" for plan in plans])
         if kept.sum() < MIN_FRAMES:
@@ -148,12 +157,13 @@ class SpoiledRecording(ImageRecording):
             way_px = length_px * np.array([np.cos(angle), np.sin(angle)])
             return pair.each(lambda image, _: effects.shaken(image, way_px))
         if plan.effect == "flow_blur" and before is not None:
+            # The flow of the pixels of this frame, back to the one before: the way is the same.
             return _Pair(
                 effects.blurred_along(
-                    pair.left, effects.optical_flow(before.left, pair.left), amount
+                    pair.left, effects.optical_flow(pair.left, before.left), amount
                 ),
                 effects.blurred_along(
-                    pair.right, effects.optical_flow(before.right, pair.right), amount
+                    pair.right, effects.optical_flow(pair.right, before.right), amount
                 ),
             )
         if plan.effect == "darkness":
@@ -191,7 +201,11 @@ def _occluded(pair: _Pair, plan: FramePlan, burst_rng: np.random.Generator) -> _
     u = burst_rng.uniform(0.0, 0.7) * width
     v = burst_rng.uniform(0.0, 0.6) * height
     step_px = burst_rng.uniform(-0.05, 0.05) * width
-    u += plan.position * step_px
+    # Half of it or more stays within the width of both images. Where it would leave, it comes in
+    # again on the other side.
+    leftmost = disparity_px - 0.5 * patch.shape[1]
+    rightmost = width - 0.5 * patch.shape[1]
+    u = leftmost + (u + plan.position * step_px - leftmost) % (rightmost - leftmost)
     return _Pair(
         effects.pasted(pair.left, patch, (u, v)),
         effects.pasted(pair.right, patch, (u - disparity_px, v)),

@@ -238,3 +238,24 @@ def test_the_rows_of_a_rolling_shutter_are_of_their_own_times() -> None:
             np.testing.assert_allclose(found[rows], expected[rows], atol=1e-5)
     of_row_63_s = 0.5 * FULL_READOUT_S * (63.0 / (height - 1) - 0.5)
     assert abs(of_row_63_s) < 2e-4
+
+
+def test_the_truth_of_a_rolling_shutter_is_of_the_times_of_its_rows() -> None:
+    """Each row is as a global shutter at its time sees it, and its flow leads to where the row in
+    which a point then lies sees it."""
+    height = CAMERA.size_px[1] if CAMERA.size_px else 0
+
+    def late_s(row: float) -> float:
+        middle = ROWS_AT_ONCE * np.floor(row / ROWS_AT_ONCE) + 0.5
+        return FULL_READOUT_S * float(middle / (height - 1) - 0.5)
+
+    truth = renderer(rolling_shutter=1.0).pixel_truth(1.0, 1.0 + STEP_S)
+    for v, u in ((10, 200), (63, 160), (90, 60), (110, 160)):
+        next_v = float(np.rint(v + truth.flow_px[v, u, 1]))
+        time_s = 1.0 + late_s(v)
+        expected = renderer().pixel_truth(time_s, 1.0 + STEP_S + late_s(next_v))
+        assert truth.depth_m[v, u] == pytest.approx(expected.depth_m[v, u], rel=1e-12)
+        assert truth.disparity_px[v, u] == pytest.approx(expected.disparity_px[v, u], rel=1e-12)
+        np.testing.assert_allclose(truth.flow_px[v, u], expected.flow_px[v, u], atol=1e-9)
+    at_once = renderer().pixel_truth(1.0, 1.0 + STEP_S)
+    assert abs(truth.depth_m[10, 200] - at_once.depth_m[10, 200]) > 0.1

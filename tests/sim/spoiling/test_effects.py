@@ -99,3 +99,16 @@ def test_a_distortion_moves_points_by_its_formula() -> None:
     found = np.array([(columns * seen).sum(), (rows * seen).sum()]) / seen.sum()
     np.testing.assert_allclose(found, expected, atol=0.1)
     assert np.linalg.norm(expected - [u, v]) > 0.5
+
+
+def test_every_pixel_of_a_distorted_image_has_its_place_up_to_the_strongest_barrel() -> None:
+    for focal_px, k1 in ((100.0, 0.2), (40.0, 0.2), (100.0, None), (40.0, None)):
+        camera = StereoCamera.centered(focal_px, 0.3, (SHAPE[1], SHAPE[0]))
+        coefficient = -effects.strongest_barrel(camera) if k1 is None else k1
+        u, v = effects.distortion_map(camera, coefficient).astype(float)
+        x = (u - camera.cu_px) / focal_px
+        y = (v - camera.cv_px) / focal_px
+        factor = 1.0 + coefficient * (x**2 + y**2)
+        rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+        np.testing.assert_allclose(camera.cu_px + focal_px * x * factor, columns, atol=1e-4)
+        np.testing.assert_allclose(camera.cv_px + focal_px * y * factor, rows, atol=1e-4)
