@@ -258,6 +258,23 @@ def test_images_of_another_size_are_refused() -> None:
             rectification.rectify(*pair)
 
 
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.full((480, 752), 30_000, np.uint16), r"the right image is uint16 of shape \(480, 752\)"),
+        (np.full((480, 752), 0.5), "the right image is float64"),
+        (np.full((480, 752), True), "the right image is bool"),
+        (np.zeros((480, 752, 3), np.uint8), r"the right image is uint8 of shape \(480, 752, 3\)"),
+        ([[0, 1]], r"the right image is \[\[0, 1\]\]"),
+    ],
+)
+def test_images_of_another_kind_are_refused(image: Image, message: str) -> None:
+    """Their grey levels would be cut to 8 bits."""
+    rectification = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT)
+    with pytest.raises(InputError, match=f"rectification: {message}(.|\n)*type uint8"):
+        rectification.rectify(np.zeros((480, 752), np.uint8), image)
+
+
 def euroc_camera(folder: Path) -> tuple[PinholeCamera, FloatArray]:
     """A camera and its T_body_cam, as EuRoC calibrated them."""
     text = (folder / "sensor.yaml").read_text().removeprefix("%YAML:1.0")

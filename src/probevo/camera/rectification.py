@@ -12,7 +12,7 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray, Image
 from probevo.camera.image_scale import ImageScale
 from probevo.camera.stereo import StereoCamera, check_camera, check_intrinsics
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
@@ -184,18 +184,32 @@ class Rectification:
         """Rectify a pair of raw images, [height, width] each.
 
         Raises:
-            InputError: the size of an image differs from the calibration's.
+            InputError: an image is not grey with 8 bits, or its size differs from the
+                calibration's.
         """
-        for name, image in (("left", left), ("right", right)):
-            if image.shape[1::-1] != self.camera.size_px:
-                what = (
-                    f"the {name} image has shape {image.shape}, the cameras see"
-                    f" {self.camera.size_px} px."
-                )
-                raise InputError(
-                    "rectification", what, "Give raw images of the size of the calibration."
-                )
+        self._check_image("left", left)
+        self._check_image("right", right)
         return _remapped(left, self.left_maps), _remapped(right, self.right_maps)
+
+    def _check_image(self, name: str, image: object) -> None:
+        """Refuse a raw image of another kind than 8-bit grey, or of a wrong size.
+
+        Raises:
+            InputError: names the image.
+        """
+        where = "rectification"
+        if not isinstance(image, np.ndarray):
+            what = f"the {name} image is {brief(image)}."
+            raise InputError(where, what, "Give a NumPy array, [height, width], of type uint8.")
+        if image.ndim != 2 or image.dtype != np.uint8:
+            what = f"the {name} image is {image.dtype} of shape {image.shape}."
+            raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
+        if image.shape[::-1] != self.camera.size_px:
+            what = (
+                f"the {name} image has shape {image.shape}, the cameras see"
+                f" {self.camera.size_px} px."
+            )
+            raise InputError(where, what, "Give raw images of the size of the calibration.")
 
 
 def without_unused(distortion: FloatArray) -> FloatArray:
