@@ -215,6 +215,18 @@ def rolled(angle_deg: float) -> FloatArray:
             r"right camera: distortion is \(0.1,\)",
         ),
         (dataclasses.replace(RADTAN[1], fu_px=0.0), T_RIGHT_LEFT, "right camera: fu_px is 0 px"),
+        (
+            dataclasses.replace(RADTAN[1], distortion_model="plumb_bob"),
+            T_RIGHT_LEFT,
+            "right camera: distortion_model is 'plumb_bob'.*\n *Give radtan, which is ROS's",
+        ),
+        (
+            dataclasses.replace(RADTAN[1], distortion=None),
+            T_RIGHT_LEFT,
+            "right camera: distortion is None",
+        ),
+        (RADTAN[1], None, "T_right_left is None"),
+        (RADTAN[1], [[1.0, 0.0, 0.0, -0.1]], r"T_right_left is \[\[1.0, 0.0, 0.0, -0.1\]\]"),
     ],
 )
 def test_an_impossible_pair_is_refused(
@@ -222,6 +234,11 @@ def test_an_impossible_pair_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=rf"sensor\.yaml: (.|\n)*{message}"):
         Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
+
+
+def test_a_transform_may_be_a_list() -> None:
+    camera = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT.tolist()).camera
+    assert camera == Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT).camera
 
 
 def test_a_camera_that_is_upside_down_is_rectified_once_its_image_is_turned() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn, get_args
 
 import cv2
 import numpy as np
@@ -100,9 +100,11 @@ class Rectification:
             where: file that the calibration comes from, for messages.
 
         Raises:
-            InputError: the two cameras do not match, T_right_left holds no rotation, or the
-                rectified pair is not horizontal or looks elsewhere than the raw pair.
+            InputError: a camera is impossible, the two do not match, T_right_left is no rigid
+                motion, or the rectified pair is not horizontal or looks elsewhere than the raw
+                pair.
         """
+        T_right_left = _as_transform(T_right_left, where)
         _check_pair(left, right, T_right_left, where=where)
         C_rect_left, C_rect_right, P_left, P_right = _stereo_rectify(left, right, T_right_left)
 
@@ -220,6 +222,23 @@ def without_unused(distortion: FloatArray) -> FloatArray:
     return distortion
 
 
+def _as_transform(T_right_left: object, where: str | Path) -> FloatArray:
+    """Return a transform between the cameras as an array, [4, 4].
+
+    Raises:
+        InputError: it has another shape, or holds something else than numbers.
+    """
+    given: Any = T_right_left
+    try:
+        T = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        T = np.empty(0)
+    if T.shape != (4, 4):
+        what = f"T_right_left is {brief(T_right_left)}."
+        raise InputError(where, what, "Give p_right = T_right_left p_left as [4, 4], in m.")
+    return T
+
+
 def _check_pair(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, where: str | Path
 ) -> None:
@@ -306,6 +325,13 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
     Raises:
         InputError: names the value at fault.
     """
+    if camera.distortion_model not in get_args(DistortionModel):
+        what = f"distortion_model is {brief(camera.distortion_model)}."
+        cure = (
+            "Give radtan, which is ROS's plumb_bob, with k1, k2, p1, p2 and then k3 if there is"
+            " one; or equidistant, for fisheye lenses, with k1 … k4."
+        )
+        raise InputError(where, what, cure)
     check_intrinsics(
         fu_px=camera.fu_px,
         fv_px=camera.fv_px,
@@ -315,11 +341,17 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
         where=where,
     )
     allowed = (4, 5, 8) if camera.distortion_model == "radtan" else (4,)
-    if len(camera.distortion) not in allowed or not np.isfinite(camera.distortion).all():
+    given: Any = camera.distortion
+    try:
+        distortion = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        distortion = np.empty(0)
+    is_list = distortion.ndim == 1 and len(distortion) in allowed
+    if not is_list or not np.isfinite(distortion).all():
         cure = (
             f"{camera.distortion_model} takes {' or '.join(map(str, allowed))} finite coefficients."
         )
-        raise InputError(where, f"distortion is {camera.distortion}.", cure)
+        raise InputError(where, f"distortion is {brief(camera.distortion)}.", cure)
 
 
 def _stereo_rectify(
