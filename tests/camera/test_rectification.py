@@ -196,7 +196,9 @@ def rolled(angle_deg: float) -> FloatArray:
     [
         (RADTAN[1], shifted([0.0, 0.0, 0.0]), "the same file"),
         (RADTAN[1], shifted([0.1, 0.0, 0.0]), "swapped"),
-        (RADTAN[1], shifted([0.0, -0.1, 0.0]), "above or below"),
+        (RADTAN[1], shifted([0.0, -0.1, 0.0]), r"below the left one(.|\n)*90° anticlockwise, and"),
+        (RADTAN[1], shifted([0.01, 0.1, 0.0]), r"above the left one(.|\n)*90° clockwise, and"),
+        (RADTAN[1], shifted([0.1, 0.1001, 0.0]), r"inclined by 45°(.|\n)*mount them so"),
         (RADTAN[1], rolled(180.0), r"by 180° about its optical axis .*\n *Turn its images by 180°"),
         (RADTAN[1], rolled(-178.0), r"by 178° about its optical axis .*\n *Turn its images by 180"),
         (RADTAN[1], shifted([np.nan, 0.0, 0.0]), "not finite"),
@@ -249,6 +251,58 @@ def test_a_camera_that_is_upside_down_is_rectified_once_its_image_is_turned() ->
     assert camera.baseline_m == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_vertical_pair_is_rectified_once_its_images_are_turned_as_the_message_says(
+    sign: float,
+) -> None:
+    left, right = RADTAN
+    T_right_left = shifted([0.01, sign * 0.1, 0.0])
+    with pytest.raises(InputError) as caught:
+        Rectification.from_calibration(left, right, T_right_left)
+    # Anticlockwise, as np.rot90 turns an image, (u, v) becomes (v, −u).
+    quarter = -90.0 if "anticlockwise" in caught.value.cure else 90.0
+    C_turned_raw = so3.exp(np.array([0.0, 0.0, np.deg2rad(quarter)]))
+    turn = se3.from_parts(C_turned_raw, np.zeros(3))
+    turned_pair = turn @ T_right_left @ se3.inverse(turn)
+    camera = Rectification.from_calibration(left, right, turned_pair).camera
+    assert camera.baseline_m == pytest.approx(np.hypot(0.01, 0.1))
+
+
+def test_a_pair_with_an_inclined_baseline_keeps_its_view() -> None:
+    """Zoomed until only valid pixels are left, images that turn by 30° would have half of it."""
+    camera = dataclasses.replace(RADTAN[0], distortion=(-0.1, 0.02, 0.0, 0.0))
+    inclined = shifted([-0.1 * np.cos(np.pi / 6.0), -0.1 * np.sin(np.pi / 6.0), 0.0])
+    rectification = Rectification.from_calibration(camera, camera, inclined)
+    assert rectification.camera.fu_px == pytest.approx(RADTAN[0].fv_px)
+    for mask in (rectification.left_mask, rectification.right_mask):
+        assert mask is not None
+        assert 0.6 < np.mean(mask == 255) < 0.95
+
+
+def test_pixels_where_the_distortion_folds_over_are_masked() -> None:
+    """With k1 = −0.3 alone, distorted radii grow up to r = √(1 / 0.9), and shrink from there on:
+    pixels beyond it show what is nearer to the centre a second time."""
+    focal_px = 320.0
+    lens = PinholeCamera(
+        focal_px,
+        focal_px,
+        375.5,
+        cv_px=239.5,
+        distortion_model="radtan",
+        distortion=(-0.3, 0.0, 0.0, 0.0),
+        size_px=(752, 480),
+    )
+    rectification = Rectification.from_calibration(lens, lens, shifted([-0.1, 0.0, 0.0]))
+    camera = rectification.camera
+    v, u = np.indices((480, 752))
+    radius = np.hypot(*camera.normalized(u, v))
+    fold = np.sqrt(1.0 / 0.9)
+    mask = rectification.left_mask
+    assert mask is not None
+    assert (mask[radius > fold + 0.01] == 0).all()
+    assert (mask[radius < fold - 0.01] == 255).all()
+
+
 def test_known_projections_of_two_sizes_are_refused() -> None:
     """Raw images of one of the sizes would be remapped by the maps of the other."""
     left, right = RADTAN
@@ -278,7 +332,10 @@ def test_images_of_another_size_are_refused() -> None:
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (np.full((480, 752), 30_000, np.uint16), r"the right image is uint16 of shape \(480, 752\)"),
+        (
+            np.full((480, 752), 30_000, np.uint16),
+            r"the right image is uint16 of shape \(480, 752\)",
+        ),
         (np.full((480, 752), 0.5), "the right image is float64"),
         (np.full((480, 752), True), "the right image is bool"),
         (np.zeros((480, 752, 3), np.uint8), r"the right image is uint8 of shape \(480, 752, 3\)"),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NoReturn, get_args
+from typing import Any, Literal, NamedTuple, NoReturn, get_args
 
 import cv2
 import numpy as np
+from numpy.polynomial import Polynomial
 
-from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.camera.image_scale import ImageScale
 from probevo.camera.stereo import StereoCamera, check_camera, check_intrinsics
 from probevo.errors import InputError, brief
@@ -19,6 +21,14 @@ DistortionModel = Literal["radtan", "equidistant"]
 UPSIDE_DOWN_DEG = 135.0
 """Roll between the cameras above which half a turn of an image leaves less of it than a quarter
 does."""
+DIAGONAL_DEG = 1.0
+"""Difference of the baseline from the diagonal up to which a quarter of a turn may leave it as far
+from the rows; calibrations know its direction better."""
+MAX_ZOOM = 1.1
+"""Largest magnification, against the raw image's centre, that leaves only valid pixels; where it
+takes more, the border is masked instead. It costs a sixth of the view."""
+_OUTSIDE_PX = -2.0
+"""A place outside of each raw image, where a remapped pixel is black."""
 _PixelMaps = tuple[AnyArray, AnyArray]
 """For each rectified pixel its place in the raw image, in OpenCV's fixed-point form."""
 
@@ -75,7 +85,7 @@ class Rectification:
     right_maps: _PixelMaps
     left_mask: Image | None
     """Where the rectified left image lies inside the raw one, [height, width], uint8: 255, and 0
-    where it does not and is black. None if it does everywhere."""
+    where it does not, or the distortion folds over, and is black. None if it does everywhere."""
     right_mask: Image | None
     """The same of the right image."""
 
@@ -89,9 +99,11 @@ class Rectification:
     ) -> Rectification:
         """Rotate both cameras so that their rows align.
 
-        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image. An
-        "equidistant" pair keeps its focal length, and with it the resolution at the centre: the
-        whole field of view of a fisheye lens would cost most of that resolution.
+        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image, unless that
+        takes more than ``MAX_ZOOM``, as where the line between the cameras is inclined in the
+        images. Such a pair, and an "equidistant" one, keeps its focal length, and with it the
+        resolution at the centre: the whole field of view of a fisheye lens would cost most of that
+        resolution. What lies outside of the raw images then is masked.
 
         Args:
             left: calibration of the left camera.
@@ -284,7 +296,8 @@ def _refuse_vertical(T_right_left: FloatArray, where: str | Path) -> NoReturn:
     """Refuse cameras that, rotated halfway towards each other, lie one above the other.
 
     Raises:
-        InputError: always; says whether the right camera is upside down.
+        InputError: always; says whether the right camera is upside down, and how to turn the
+            images.
     """
     roll_deg = np.rad2deg(np.arctan2(T_right_left[1, 0], T_right_left[0, 0]))
     if abs(roll_deg) > UPSIDE_DOWN_DEG:
@@ -293,10 +306,21 @@ def _refuse_vertical(T_right_left: FloatArray, where: str | Path) -> NoReturn:
             " left one."
         )
         raise InputError(where, what, "Turn its images by 180°, and calibrate with these.")
-    what = "the right camera lies above or below the left one."
-    raise InputError(
-        where, what, "Only cameras side by side are supported; turn both images by 90°."
+    C_right_left = T_right_left[:3, :3]
+    baseline = so3.exp(-0.5 * so3.log(C_right_left)) @ T_right_left[:3, 3]
+    diagonal_deg = np.rad2deg(np.arctan2(abs(baseline[1]), abs(baseline[0]))) - 45.0
+    if abs(diagonal_deg) < DIAGONAL_DEG:
+        what = f"the line between the cameras is inclined by {45.0 + diagonal_deg:.0f}°."
+        cure = "Only cameras side by side are supported; mount them so, or one above the other."
+        raise InputError(where, what, cure)
+    # v counts downwards: p_right has a larger v than p_left where the right camera lies above.
+    is_above = baseline[1] > 0.0
+    what = f"the right camera lies {'above' if is_above else 'below'} the left one."
+    cure = (
+        "Only cameras side by side are supported; turn both images by 90°"
+        f" {'clockwise' if is_above else 'anticlockwise'}, and calibrate with these."
     )
+    raise InputError(where, what, cure)
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:
@@ -354,24 +378,42 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
         raise InputError(where, f"distortion is {brief(camera.distortion)}.", cure)
 
 
+class _RectifiedPair(NamedTuple):
+    """The rectifying rotations and the rectified projections of a pair."""
+
+    C_rect_left: AnyArray
+    C_rect_right: AnyArray
+    """[3, 3] each."""
+    P_left: AnyArray
+    P_right: AnyArray
+    """[3, 4] each."""
+
+
 def _stereo_rectify(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray
-) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Compute the rectifying rotations and the rectified projections.
+) -> _RectifiedPair:
+    """Compute the rectifying rotations and the rectified projections."""
+    # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
+    # length; the pixel maps undo the distortion.
+    unzoomed = _rectified_by_opencv(left, right, T_right_left, zoom=-1.0)
+    if left.distortion_model != "radtan":
+        return unzoomed
+    # OpenCV's alpha of 0: zoom until only valid pixels are left. Where the baseline is inclined in
+    # the images, these turn, and little of them would be left.
+    zoomed = _rectified_by_opencv(left, right, T_right_left, zoom=0.0)
+    is_too_large = zoomed.P_left[0, 0] > MAX_ZOOM * unzoomed.P_left[0, 0]
+    return unzoomed if is_too_large else zoomed
 
-    Returns:
-        C_rect_left, C_rect_right, [3, 3], and P_left, P_right, [3, 4].
+
+def _rectified_by_opencv(
+    left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, *, zoom: float
+) -> _RectifiedPair:
+    """Compute the rectifying rotations and projections for a zoom, OpenCV's alpha.
+
+    A negative one leaves distortion and zoom out.
     """
-    if left.distortion_model == "radtan":
-        left_distortion = np.array(left.distortion)
-        right_distortion = np.array(right.distortion)
-        zoom = 0.0  # OpenCV's alpha: zoom until only valid pixels are left
-    else:
-        # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
-        # length; the pixel maps undo the distortion.
-        left_distortion = np.zeros(4)
-        right_distortion = np.zeros(4)
-        zoom = -1.0
+    left_distortion = np.array(left.distortion) if zoom >= 0.0 else np.zeros(4)
+    right_distortion = np.array(right.distortion) if zoom >= 0.0 else np.zeros(4)
     C_rect_left, C_rect_right, P_left, P_right, *_ = cv2.stereoRectify(
         cameraMatrix1=left.matrix,
         distCoeffs1=left_distortion,
@@ -383,7 +425,7 @@ def _stereo_rectify(
         flags=cv2.CALIB_ZERO_DISPARITY,  # same principal point: points at infinity have d = 0
         alpha=zoom,
     )
-    return C_rect_left, C_rect_right, P_left, P_right
+    return _RectifiedPair(C_rect_left, C_rect_right, P_left, P_right)
 
 
 def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> _PixelMaps:
@@ -398,6 +440,7 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
             size=camera.size_px,
             m1type=cv2.CV_32FC1,
         )
+        u[_is_folded(camera, C_rect_cam, P_rect)] = _OUTSIDE_PX
     else:
         u, v = cv2.fisheye.initUndistortRectifyMap(
             K=camera.matrix,
@@ -411,6 +454,40 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
     # faster than pairs of floats.
     fixed_point, fraction = cv2.convertMaps(u, v, cv2.CV_16SC2)
     return fixed_point, fraction
+
+
+def _is_folded(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> BoolArray:
+    """Return which rectified pixels, [height, width], the "radtan" model maps into the raw image a
+    second time: the distorted radius shrinks there instead of growing with the angle."""
+    width_px, height_px = camera.size_px
+    v, u = np.indices((height_px, width_px))
+    x = (u - P_rect[0, 2]) / P_rect[0, 0]
+    y = (v - P_rect[1, 2]) / P_rect[1, 1]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ C_rect_cam
+    z = rays[..., 2]
+    radius_sq = (rays[..., 0] ** 2 + rays[..., 1] ** 2) / np.where(z > 0.0, z, np.nan) ** 2
+    is_beyond: BoolArray = ~(radius_sq < _fold_radius_sq(camera.distortion))
+    return is_beyond
+
+
+def _fold_radius_sq(distortion: Sequence[float]) -> float:
+    """Return the squared normalised radius up to which the distorted one grows; it may be inf.
+
+    The small tangential terms are left out.
+    """
+    coefficients = np.zeros(8)
+    coefficients[: len(distortion)] = distortion
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients.tolist()
+    # With s = r², the distorted radius is r N(s) / D(s). Its derivative has the sign of
+    # N D + 2 s (N' D − N D').
+    numerator = Polynomial([1.0, k1, k2, k3])
+    denominator = Polynomial([1.0, k4, k5, k6])
+    change = numerator.deriv() * denominator - numerator * denominator.deriv()
+    sign = numerator * denominator + Polynomial([0.0, 2.0]) * change
+    roots = np.concatenate([sign.trim().roots(), denominator.trim().roots()])
+    is_real = np.abs(roots.imag) <= 1e-9 * np.abs(roots)
+    positive = roots.real[is_real & (roots.real > 0.0)]
+    return float(positive.min(initial=np.inf))
 
 
 def _remapped(image: Image, maps: _PixelMaps) -> Image:
