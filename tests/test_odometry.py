@@ -780,7 +780,7 @@ def test_frames_that_cannot_follow_the_one_before_are_refused() -> None:
     frames = drive(np.random.default_rng(0), 2)
     odometry = pv.StereoOdometry(CAMERA)
     odometry.step(frames[0])
-    with pytest.raises(InputError, match=r"frame 1: its stamp, .*, is less than 1 µs after"):
+    with pytest.raises(InputError, match=r"frame 1: its stamp, .*, is 100 ns after"):
         odometry.step(replace(frames[1], stamp_ns=frames[0].stamp_ns + 100))
     with pytest.raises(
         InputError, match="frame 1: one of it and the frame before has images, the other features"
