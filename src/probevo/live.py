@@ -8,11 +8,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from numbers import Integral
 from threading import Condition, Thread, current_thread
 from time import perf_counter
 from traceback import walk_tb
 from types import TracebackType
+
+import numpy as np
 
 from probevo.errors import InputError, brief
 from probevo.estimation.motion_estimate import MotionEstimate
@@ -147,7 +148,7 @@ class LiveOdometry:
         if not all(hasattr(odometry, member) for member in ("camera", "step")):
             cure = "Give a StereoOdometry: LiveOdometry(StereoOdometry(camera))."
             raise InputError("odometry", f"is {brief(odometry)}.", cure)
-        if not isinstance(waiting, Integral):
+        if not isinstance(waiting, int | np.integer):
             raise InputError("waiting", f"is {brief(waiting)}.", "Give a whole number of frames.")
         if waiting < 1:
             raise InputError("waiting", f"is {waiting}.", "At least one frame has to wait: give 1.")

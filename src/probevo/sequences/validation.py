@@ -31,8 +31,9 @@ def validated(
     """Check a frame, and leave out its unusable features and IMU samples.
 
     Features and angular rates that are not finite or implausibly large are left out, and so are
-    spikes of the angular rate, and IMU samples that repeat the stamp of the one before. Whether the remaining samples still cover the interval is checked
-    when the gyro is integrated. A sample with an unusable specific force keeps its angular rate.
+    spikes of the angular rate, and IMU samples that repeat the stamp of the one before. Whether the
+    remaining samples still cover the interval is checked when the gyro is integrated. A sample with
+    an unusable specific force keeps its angular rate.
 
     Args:
         frame: the frame as given.
