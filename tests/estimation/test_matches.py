@@ -217,6 +217,8 @@ def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None
     np.testing.assert_allclose(cov[-1], motions[-1].cov_cam_world, rtol=1e-9, atol=1e-13)
     with pytest.raises(InputError, match="not a MotionEstimate"):
         pv.compound([np.eye(4)])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"^motions: is MotionEstimate\(.*\n *Give a list"):
+        pv.compound(motions[1])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
