@@ -279,6 +279,13 @@ def test_a_pair_with_an_inclined_baseline_keeps_its_view() -> None:
         assert 0.6 < np.mean(mask == 255) < 0.95
 
 
+def test_a_pair_that_is_nearly_level_has_no_border() -> None:
+    camera = dataclasses.replace(RADTAN[0], distortion=(0.0, 0.0, 0.0, 0.0))
+    rectification = Rectification.from_calibration(camera, camera, shifted([-0.1, -0.008, 0.0]))
+    assert rectification.camera.fu_px > 1.05 * RADTAN[0].fu_px
+    assert rectification.left_mask is None
+
+
 def test_pixels_where_the_distortion_folds_over_are_masked() -> None:
     """With k1 = −0.3 alone, distorted radii grow up to r = √(1 / 0.9), and shrink from there on:
     pixels beyond it show what is nearer to the centre a second time."""

@@ -24,9 +24,9 @@ does."""
 DIAGONAL_DEG = 1.0
 """Difference of the baseline from the diagonal up to which a quarter of a turn may leave it as far
 from the rows; calibrations know its direction better."""
-MAX_ZOOM = 1.1
-"""Largest magnification, against the raw image's centre, that leaves only valid pixels; where it
-takes more, the border is masked instead. It costs a sixth of the view."""
+MAX_LEVEL_DEG = 5.0
+"""Inclination of the baseline in the image up to which a pair is zoomed until only valid pixels are
+left; without distortion, that costs an eighth of either side at most."""
 _OUTSIDE_PX = -2.0
 """A place outside of each raw image, where a remapped pixel is black."""
 _PixelMaps = tuple[AnyArray, AnyArray]
@@ -88,6 +88,9 @@ class Rectification:
     where it does not, or the distortion folds over, and is black. None if it does everywhere."""
     right_mask: Image | None
     """The same of the right image."""
+    left: PinholeCamera
+    """The left camera before rectification."""
+    right: PinholeCamera
 
     @classmethod
     def from_calibration(
@@ -99,11 +102,12 @@ class Rectification:
     ) -> Rectification:
         """Rotate both cameras so that their rows align.
 
-        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image, unless that
-        takes more than ``MAX_ZOOM``, as where the line between the cameras is inclined in the
-        images. Such a pair, and an "equidistant" one, keeps its focal length, and with it the
+        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image. Where the
+        line between the cameras is inclined in the images by more than ``MAX_LEVEL_DEG``, that
+        would leave little of the view: such a pair is not magnified, and what lies outside of the
+        raw images is masked. An "equidistant" pair keeps its focal length, and with it the
         resolution at the centre: the whole field of view of a fisheye lens would cost most of that
-        resolution. What lies outside of the raw images then is masked.
+        resolution.
 
         Args:
             left: calibration of the left camera.
@@ -144,6 +148,8 @@ class Rectification:
             right_maps=right_maps,
             left_mask=_mask_of(left_maps, left.size_px),
             right_mask=_mask_of(right_maps, right.size_px),
+            left=left,
+            right=right,
         )
 
     @classmethod
@@ -192,6 +198,8 @@ class Rectification:
             right_maps=right_maps,
             left_mask=_mask_of(left_maps, left.size_px),
             right_mask=_mask_of(right_maps, right.size_px),
+            left=left,
+            right=right,
         )
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
@@ -401,8 +409,10 @@ def _stereo_rectify(
     # OpenCV's alpha of 0: zoom until only valid pixels are left. Where the baseline is inclined in
     # the images, these turn, and little of them would be left.
     zoomed = _rectified_by_opencv(left, right, T_right_left, zoom=0.0)
-    is_too_large = zoomed.P_left[0, 0] > MAX_ZOOM * unzoomed.P_left[0, 0]
-    return unzoomed if is_too_large else zoomed
+    baseline = zoomed.C_rect_left[0]  # its direction, in the raw left camera
+    is_inclined = abs(baseline[1]) > np.tan(np.deg2rad(MAX_LEVEL_DEG)) * abs(baseline[0])
+    is_magnified = zoomed.P_left[0, 0] > unzoomed.P_left[0, 0]
+    return unzoomed if is_inclined and is_magnified else zoomed
 
 
 def _rectified_by_opencv(
