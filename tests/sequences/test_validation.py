@@ -135,9 +135,14 @@ def test_stamps_of_another_unit_are_refused(unit_ns: int, cure: str) -> None:
         validated(second, CAMERA, first)
 
 
-def test_a_camera_of_a_kilohertz_is_taken() -> None:
-    first = frame(index=0, stamp_ns=START_NS, imu=None)
-    validated(frame(stamp_ns=START_NS + 1_000_000, imu=None), CAMERA, first)
+@pytest.mark.parametrize(
+    ("start_ns", "step_ns"), [(0, 1_000_000), (1_700_000_000_000_000_000, 100_000)]
+)
+def test_fast_cameras_and_stamps_of_arrival_are_taken(start_ns: int, step_ns: int) -> None:
+    """A camera of 1 kHz; and images that arrive nearly at once, whose stamps since 1970 can be in
+    no other unit."""
+    first = frame(index=0, stamp_ns=start_ns, imu=None)
+    validated(frame(stamp_ns=start_ns + step_ns, imu=None), CAMERA, first)
 
 
 FRAME_CHANGES: dict[str, tuple[dict[str, Any], str]] = {

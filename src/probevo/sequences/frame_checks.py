@@ -13,6 +13,11 @@ from probevo.sequences.text import INT64_LIMIT
 MIN_STEP_NS = 500_000
 """Shortest plausible time between two frames: no stereo camera takes 2,000 pairs a second. Closer
 stamps must be in another unit."""
+MIN_STEP_OF_UNIX_NS = 1_000
+"""The same of stamps from ``UNIX_NS`` on, whose unit is not in question: drivers that stamp images
+as these arrive may give two at nearly one time."""
+UNIX_NS = 10**18
+"""A time of 2001 in ns since 1970; in any larger unit, it is 30,000 years ahead."""
 MIN_MICROSECONDS = 1_000
 """Shortest plausible step of stamps in microseconds: that of a thousand pairs a second. Smaller
 numbers are milliseconds or longer units."""
@@ -171,7 +176,7 @@ def check_order(prev: Frame, curr: Frame) -> None:
             cure += " Stamps are nanoseconds, not seconds."
         raise InputError(where, what, cure)
     step_ns = curr.stamp_ns - prev.stamp_ns
-    if step_ns < MIN_STEP_NS:
+    if step_ns < (MIN_STEP_NS if prev.stamp_ns < UNIX_NS else MIN_STEP_OF_UNIX_NS):
         what = f"its stamp, {curr.stamp_ns} ns, is {step_ns} ns after that of the frame before."
         unit = "milliseconds? Multiply them by 1,000,000"
         if step_ns >= MIN_MICROSECONDS:
