@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from queue import Queue
@@ -24,6 +25,7 @@ from probevo.geometry import se3, so3
 from probevo.live import MAX_FAILURES, MAX_UNREAD
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
 from probevo.sequences.imu import ImuStream
+from probevo.state import OdometryState
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
 
 PATIENCE_S = 60.0
@@ -459,6 +461,57 @@ def test_at_least_one_frame_waits() -> None:
         pv.LiveOdometry(free(), waiting=0)
     with pytest.raises(pv.InputError, match=r"^odometry: is None\.\n *Give a StereoOdometry"):
         pv.LiveOdometry(None)  # type: ignore[arg-type]
+    for waiting in (None, "1", float("nan"), 1.5):
+        with pytest.raises(pv.InputError, match=r"^waiting: is .*\n *Give a whole number"):
+            pv.LiveOdometry(free(), waiting=waiting)  # type: ignore[arg-type]
+    with pytest.raises(pv.InputError, match=r"^on_estimate: is 'print'\.\n *Give a function"):
+        pv.LiveOdometry(free(), on_estimate="print")  # type: ignore[arg-type]
+
+
+def test_an_odometry_that_has_stepped_goes_on_from_its_last_frame() -> None:
+    frames = drive(np.random.default_rng(0), 4)
+    odometry = pv.StereoOdometry(CAMERA)
+    odometry.step(frames[0])
+    odometry.step(frames[2])
+    with pv.LiveOdometry(odometry) as live:
+        with pytest.raises(InputError, match="is not after that of the frame before"):
+            live.push(frames[1])
+        live.push(frames[3])
+    (estimate,) = live.estimates()
+    assert estimate.prev_stamp_ns == frames[2].stamp_ns
+    assert (live.num_refused, live.num_failed) == (1, 0)
+
+
+class CountedReads(pv.StereoOdometry):
+    """An odometry that counts how often its state is read."""
+
+    num_reads = 0
+
+    @property
+    def _state(self) -> OdometryState | None:  # type: ignore[override]
+        self.num_reads += 1
+        return self.__dict__.get("kept")
+
+    @_state.setter
+    def _state(self, state: OdometryState | None) -> None:
+        self.__dict__["kept"] = state
+
+
+def test_whoever_reads_while_it_steps_sees_one_step() -> None:
+    """What reads the state once cannot mix two of them."""
+    odometry = CountedReads(CAMERA)
+    for frame in drive(np.random.default_rng(0), 3):
+        odometry.step(frame)
+    names = [name for name, kind in vars(pv.StereoOdometry).items() if isinstance(kind, property)]
+    reads: dict[str, Callable[[], object]] = {
+        name: partial(getattr, odometry, name) for name in names
+    }
+    reads["relative"] = lambda: odometry.relative(2, 1)
+    assert {"tracks", "landmarks", "window"} <= set(reads)
+    for name, read in reads.items():
+        odometry.num_reads = 0
+        read()
+        assert odometry.num_reads == 1, name
 
 
 GYRO = pv.ImuCalibration(np.eye(4), 2e-4, 0.01)

@@ -287,7 +287,7 @@ def test_stamps_of_any_distance_leave_covariances(kind: str, window_frames: int)
     rng = np.random.default_rng(3)
     is_odd = rng.random(60) < 0.4
     steps_ns = np.where(is_odd, 1e9 * rng.choice(seconds, size=60), float(FRAME_NS)).astype(int)
-    stamps_ns = 10**15 + np.cumsum(steps_ns)
+    stamps_ns = 10**18 + np.cumsum(steps_ns)
     frames = [
         replace(frame, stamp_ns=int(stamp_ns))
         for frame, stamp_ns in zip(drive(rng, 60), stamps_ns, strict=True)
@@ -780,7 +780,7 @@ def test_frames_that_cannot_follow_the_one_before_are_refused() -> None:
     frames = drive(np.random.default_rng(0), 2)
     odometry = pv.StereoOdometry(CAMERA)
     odometry.step(frames[0])
-    with pytest.raises(InputError, match=r"frame 1: its stamp, .*, is less than 1 µs after"):
+    with pytest.raises(InputError, match=r"frame 1: its stamp, .*, is 100 ns after"):
         odometry.step(replace(frames[1], stamp_ns=frames[0].stamp_ns + 100))
     with pytest.raises(
         InputError, match="frame 1: one of it and the frame before has images, the other features"

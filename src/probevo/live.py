@@ -13,6 +13,8 @@ from time import perf_counter
 from traceback import walk_tb
 from types import TracebackType
 
+import numpy as np
+
 from probevo.errors import InputError, brief
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
@@ -48,7 +50,7 @@ class LiveEstimate:
     stamp_ns: int
     """Its time."""
     prev_stamp_ns: int | None
-    """Time of the frame that ``motion`` leads from; None at the first frame."""
+    """Time of the frame that ``motion`` leads from; None at the odometry's first frame."""
     motion: MotionEstimate
     num_dropped: int
     """Frames between these two that were dropped, for lack of time."""
@@ -131,7 +133,8 @@ class LiveOdometry:
         on_estimate: called with each estimate.
 
     Raises:
-        InputError: ``odometry`` is something else, or ``waiting`` is less than 1.
+        InputError: ``odometry`` is something else, ``waiting`` is no whole number or less than 1,
+            or ``on_estimate`` cannot be called.
     """
 
     def __init__(
@@ -145,14 +148,23 @@ class LiveOdometry:
         if not all(hasattr(odometry, member) for member in ("camera", "step")):
             cure = "Give a StereoOdometry: LiveOdometry(StereoOdometry(camera))."
             raise InputError("odometry", f"is {brief(odometry)}.", cure)
+        if not isinstance(waiting, int | np.integer):
+            raise InputError("waiting", f"is {brief(waiting)}.", "Give a whole number of frames.")
         if waiting < 1:
             raise InputError("waiting", f"is {waiting}.", "At least one frame has to wait: give 1.")
+        if on_estimate is not None and not callable(on_estimate):
+            cure = "Give a function of a LiveEstimate; or leave it out, and read estimates()."
+            raise InputError("on_estimate", f"is {brief(on_estimate)}.", cure)
+        # One that has stepped before goes on from its last frame.
+        state = getattr(odometry, "state", None)
+        newest: Frame | None = None if state is None else state.frame
         self._camera = odometry.camera
         self._waiting = waiting
         self._on_estimate = on_estimate
         self._frames: deque[_Arrival] = deque()
         self._unread: deque[LiveEstimate] = deque()
-        self._newest: Frame | None = None
+        self._newest = newest
+        self._first_prev_ns = None if newest is None else int(newest.stamp_ns)
         self._num_dropped = 0
         self._num_failed = 0
         self._num_refused = 0
@@ -330,7 +342,7 @@ class LiveOdometry:
 
     def _step_frames(self, odometry: StereoOdometry) -> None:
         """Step the odometry until it is closed."""
-        prev_stamp_ns = None
+        prev_stamp_ns = self._first_prev_ns
         failed: _Arrival | None = None  # the last frames, if their steps failed
         num_in_a_row = 0
         while (arrival := self._next_arrival()) is not None:

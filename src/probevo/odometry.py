@@ -77,6 +77,9 @@ class StereoOdometry:
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
         sensors: further sensors, each a ``Sensor``, and at most one ``MotionCorrection``.
+
+    Another thread may read its properties while one steps it: each of them is of one step. Several
+    that belong together are in ``state``, which no step changes.
     """
 
     def __init__(
@@ -178,10 +181,11 @@ class StereoOdometry:
     @property
     def landmarks(self) -> Landmarks:
         """The points that the last solve used, in the current camera's frame, with covariances."""
-        noise = self._state.observations.frames[-1].noise if self._state else None
-        if noise is None:
+        state = self._state
+        noise = state.observations.frames[-1].noise if state else None
+        if state is None or noise is None:
             return Landmarks.none()
-        seen = self.tracks.subset(self.used)
+        seen = state.features.tracks.subset(state.features.used)
         return triangulated(seen.ids, seen.curr_px, noise, self.camera)
 
     @property
@@ -192,19 +196,22 @@ class StereoOdometry:
     @property
     def rig(self) -> RigCalibration | None:
         """The estimated errors of the rectification; None without self-calibration."""
-        return self._initial_rig() if self._state is None else self._state.rig
+        state = self._state
+        return self._initial_rig() if state is None else state.rig
 
     @property
     def gyro_bias(self) -> GyroBias | None:
         """The estimated bias of the gyro; None without an IMU."""
-        if self._state is None:
+        state = self._state
+        if state is None:
             return GyroBias.initial(self.imu) if self.imu else None
-        return self._state.gyro_bias
+        return state.gyro_bias
 
     @property
     def window(self) -> Window | None:
         """The last frames, adjusted together; None for the two-frame estimator."""
-        return None if self._state is None else self._state.window
+        state = self._state
+        return None if state is None else state.window
 
     def relative(self, frame: int, other: int) -> tuple[FloatArray, FloatArray]:
         """Return the motion T_frame_other between two frames of the window, and its covariance.
@@ -220,17 +227,19 @@ class StereoOdometry:
         Raises:
             InputError: a frame is not in the window, or there is none.
         """
-        if self.window is None:
+        window = self.window
+        if window is None:
             raise InputError(
                 "relative", "there is no window.", "Set estimator to window, and step a frame."
             )
-        return self.window.relative(self.window.slot(frame), self.window.slot(other))
+        return window.relative(window.slot(frame), window.slot(other))
 
     @property
     def _features(self) -> StepFeatures:
-        if self._state is None:
+        state = self._state
+        if state is None:
             return StepFeatures.none(len(self.predictors.columns))
-        return self._state.features
+        return state.features
 
     def _first_state(self, frame: Frame) -> OdometryState:
         tracker = tracker_for(frame, self.camera, self._tracker_config)

@@ -28,8 +28,11 @@ def compound(motions: Iterable[MotionEstimate]) -> tuple[FloatArray, FloatArray]
         the left perturbations of T_cam_world, [K + 1, 6, 6], m and rad, 0 at the first.
 
     Raises:
-        InputError: an element is not a MotionEstimate.
+        InputError: it is a single estimate or none, or an element is not a MotionEstimate.
     """
+    if not isinstance(motions, Iterable):
+        cure = "Give a list of the estimates of all steps."
+        raise InputError("motions", f"is {brief(motions)}.", cure)
     steps = []
     for motion in motions:
         if not isinstance(motion, MotionEstimate):

@@ -196,7 +196,9 @@ def rolled(angle_deg: float) -> FloatArray:
     [
         (RADTAN[1], shifted([0.0, 0.0, 0.0]), "the same file"),
         (RADTAN[1], shifted([0.1, 0.0, 0.0]), "swapped"),
-        (RADTAN[1], shifted([0.0, -0.1, 0.0]), "above or below"),
+        (RADTAN[1], shifted([0.0, -0.1, 0.0]), r"below the left one(.|\n)*90° anticlockwise, and"),
+        (RADTAN[1], shifted([0.01, 0.1, 0.0]), r"above the left one(.|\n)*90° clockwise, and"),
+        (RADTAN[1], shifted([0.1, 0.1001, 0.0]), r"inclined by 45°(.|\n)*mount them so"),
         (RADTAN[1], rolled(180.0), r"by 180° about its optical axis .*\n *Turn its images by 180°"),
         (RADTAN[1], rolled(-178.0), r"by 178° about its optical axis .*\n *Turn its images by 180"),
         (RADTAN[1], shifted([np.nan, 0.0, 0.0]), "not finite"),
@@ -215,6 +217,18 @@ def rolled(angle_deg: float) -> FloatArray:
             r"right camera: distortion is \(0.1,\)",
         ),
         (dataclasses.replace(RADTAN[1], fu_px=0.0), T_RIGHT_LEFT, "right camera: fu_px is 0 px"),
+        (
+            dataclasses.replace(RADTAN[1], distortion_model="plumb_bob"),
+            T_RIGHT_LEFT,
+            "right camera: distortion_model is 'plumb_bob'.*\n *Give radtan, which is ROS's",
+        ),
+        (
+            dataclasses.replace(RADTAN[1], distortion=None),
+            T_RIGHT_LEFT,
+            "right camera: distortion is None",
+        ),
+        (RADTAN[1], None, "T_right_left is None"),
+        (RADTAN[1], [[1.0, 0.0, 0.0, -0.1]], r"T_right_left is \[\[1.0, 0.0, 0.0, -0.1\]\]"),
     ],
 )
 def test_an_impossible_pair_is_refused(
@@ -224,12 +238,76 @@ def test_an_impossible_pair_is_refused(
         Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
 
 
+def test_a_transform_may_be_a_list() -> None:
+    camera = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT.tolist()).camera
+    assert camera == Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT).camera
+
+
 def test_a_camera_that_is_upside_down_is_rectified_once_its_image_is_turned() -> None:
     """As the message says: turned by half a turn, the right camera is one beside the left."""
     left, right = RADTAN
     half_turn = se3.from_parts(so3.exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     camera = Rectification.from_calibration(left, right, half_turn @ rolled(180.0)).camera
     assert camera.baseline_m == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_vertical_pair_is_rectified_once_its_images_are_turned_as_the_message_says(
+    sign: float,
+) -> None:
+    left, right = RADTAN
+    T_right_left = shifted([0.01, sign * 0.1, 0.0])
+    with pytest.raises(InputError) as caught:
+        Rectification.from_calibration(left, right, T_right_left)
+    # Anticlockwise, as np.rot90 turns an image, (u, v) becomes (v, −u).
+    quarter = -90.0 if "anticlockwise" in caught.value.cure else 90.0
+    C_turned_raw = so3.exp(np.array([0.0, 0.0, np.deg2rad(quarter)]))
+    turn = se3.from_parts(C_turned_raw, np.zeros(3))
+    turned_pair = turn @ T_right_left @ se3.inverse(turn)
+    camera = Rectification.from_calibration(left, right, turned_pair).camera
+    assert camera.baseline_m == pytest.approx(np.hypot(0.01, 0.1))
+
+
+def test_a_pair_with_an_inclined_baseline_keeps_its_view() -> None:
+    """Zoomed until only valid pixels are left, images that turn by 30° would have half of it."""
+    camera = dataclasses.replace(RADTAN[0], distortion=(-0.1, 0.02, 0.0, 0.0))
+    inclined = shifted([-0.1 * np.cos(np.pi / 6.0), -0.1 * np.sin(np.pi / 6.0), 0.0])
+    rectification = Rectification.from_calibration(camera, camera, inclined)
+    assert rectification.camera.fu_px == pytest.approx(RADTAN[0].fv_px)
+    for mask in (rectification.left_mask, rectification.right_mask):
+        assert mask is not None
+        assert 0.6 < np.mean(mask == 255) < 0.95
+
+
+def test_a_pair_that_is_nearly_level_has_no_border() -> None:
+    camera = dataclasses.replace(RADTAN[0], distortion=(0.0, 0.0, 0.0, 0.0))
+    rectification = Rectification.from_calibration(camera, camera, shifted([-0.1, -0.008, 0.0]))
+    assert rectification.camera.fu_px > 1.05 * RADTAN[0].fu_px
+    assert rectification.left_mask is None
+
+
+def test_pixels_where_the_distortion_folds_over_are_masked() -> None:
+    """With k1 = −0.3 alone, distorted radii grow up to r = √(1 / 0.9), and shrink from there on:
+    pixels beyond it show what is nearer to the centre a second time."""
+    focal_px = 320.0
+    lens = PinholeCamera(
+        focal_px,
+        focal_px,
+        375.5,
+        cv_px=239.5,
+        distortion_model="radtan",
+        distortion=(-0.3, 0.0, 0.0, 0.0),
+        size_px=(752, 480),
+    )
+    rectification = Rectification.from_calibration(lens, lens, shifted([-0.1, 0.0, 0.0]))
+    camera = rectification.camera
+    v, u = np.indices((480, 752))
+    radius = np.hypot(*camera.normalized(u, v))
+    fold = np.sqrt(1.0 / 0.9)
+    mask = rectification.left_mask
+    assert mask is not None
+    assert (mask[radius > fold + 0.01] == 0).all()
+    assert (mask[radius < fold - 0.01] == 255).all()
 
 
 def test_known_projections_of_two_sizes_are_refused() -> None:
@@ -256,6 +334,26 @@ def test_images_of_another_size_are_refused() -> None:
     for pair in ((raw[:100], raw), (raw, raw.T)):
         with pytest.raises(InputError, match="image has shape"):
             rectification.rectify(*pair)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (
+            np.full((480, 752), 30_000, np.uint16),
+            r"the right image is uint16 of shape \(480, 752\)",
+        ),
+        (np.full((480, 752), 0.5), "the right image is float64"),
+        (np.full((480, 752), True), "the right image is bool"),
+        (np.zeros((480, 752, 3), np.uint8), r"the right image is uint8 of shape \(480, 752, 3\)"),
+        ([[0, 1]], r"the right image is \[\[0, 1\]\]"),
+    ],
+)
+def test_images_of_another_kind_are_refused(image: Image, message: str) -> None:
+    """Their grey levels would be cut to 8 bits."""
+    rectification = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT)
+    with pytest.raises(InputError, match=f"rectification: {message}(.|\n)*type uint8"):
+        rectification.rectify(np.zeros((480, 752), np.uint8), image)
 
 
 def euroc_camera(folder: Path) -> tuple[PinholeCamera, FloatArray]:

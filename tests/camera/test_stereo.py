@@ -117,6 +117,17 @@ def test_check_accepts_a_sound_camera() -> None:
         ("cv_px", -300.0, "cv_px is -300 px, far outside"),
         ("size_px", (10**400, 376), r"size_px is \(1000"),
         ("size_px", (1241, 0), "size_px is 1241 × 0"),
+        ("fu_px", "718.9", "fu_px is '718.9'"),
+        ("cv_px", None, "cv_px is None"),
+        ("fv_px", np.array([718.9, 1.0]), "fv_px is array"),
+        ("baseline_m", None, "baseline_m is None"),
+        ("readout_s", "0.02", "readout_s is '0.02'"),
+        ("size_px", (1241,), r"size_px is \(1241,\)(.|\n)*both whole numbers"),
+        ("size_px", (1241, 376, 3), "size_px is"),
+        ("size_px", [1241.5, 376], r"size_px is \(1241.5, 376\)"),
+        ("size_px", (None, 376), r"size_px is \(None, 376\)"),
+        ("size_px", "1241x376", "size_px is '1241x376'"),
+        ("size_px", 1241, "size_px is 1241"),
     ],
 )
 def test_check_refuses_an_impossible_camera(field: str, value: object, message: str) -> None:
@@ -133,7 +144,7 @@ def test_a_principal_point_a_hundred_focal_lengths_away_is_refused() -> None:
         check_camera(dataclasses.replace(camera, cu_px=1e9), "tracks.npz")
 
 
-@pytest.mark.parametrize("size_px", [[1241, 376], np.array([1241, 376])])
+@pytest.mark.parametrize("size_px", [[1241, 376], np.array([1241, 376]), (1241.0, 376.0)])
 def test_a_size_may_be_a_list(size_px: Any) -> None:
     """As in a file of Kalibr."""
     assert dataclasses.replace(CAMERA, size_px=size_px) == CAMERA

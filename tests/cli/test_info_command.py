@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from cli.rendering import write_wall
+from probevo.cli.info import MAX_OFF_CENTER, describe
 from probevo.cli.main import main
+from probevo.sequences import open_sequence
+from sequences.calibrations.test_calibration_files import kalibr, write_raw_pair, write_yaml
 from sequences.damage import cut, replace
 from sequences.recordings import (
     tracks_arrays,
@@ -96,6 +99,21 @@ def test_a_calibration_of_another_resolution_is_marked(
         " Was the camera calibrated at another resolution?"
     )
     assert rows["! focal length"].startswith("fu is 200.0 px, fv 100.0 px")
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_of_a_rectified_recording_the_raw_centers_count(scale: float, tmp_path: Path) -> None:
+    """A right camera ahead of the left one: the rectified centre is off, and that of a calibration
+    at half the size is, too."""
+    content = kalibr(coefficients=(0.0, 0.0, 0.0, 0.0))
+    content["cam1"]["T_cn_cnm1"] = [[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, -0.015], [0, 0, 0, 1]]
+    for camera in content.values():
+        fu_px, fv_px, cu_px, cv_px = camera["intrinsics"]
+        camera["intrinsics"] = [fu_px, fv_px, scale * cu_px, scale * cv_px]
+    write_yaml(write_raw_pair(tmp_path) / "calib.yaml", content)
+    sequence = open_sequence(tmp_path)
+    assert abs(sequence.camera.cu_px / 64.0 - 0.5) > MAX_OFF_CENTER
+    assert ("! center" in dict(describe(sequence))) == (scale < 1.0)
 
 
 def test_few_matches_and_implausible_distances_are_marked(

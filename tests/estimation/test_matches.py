@@ -134,15 +134,37 @@ def test_outliers_are_left_out() -> None:
     np.testing.assert_allclose(motion.T_curr_prev, T_TRUE, atol=0.02)
 
 
-@pytest.mark.parametrize("noise", ["student-t", pv.noise.StudentT()])
-def test_a_noise_model_may_be_named(noise: Any) -> None:
+def test_a_noise_model_may_be_named() -> None:
     prev, curr = matches(np.random.default_rng(2), 60, np.tile(0.01 * np.eye(4), (60, 1, 1)))
-    motion = pv.estimate_motion(prev.tolist(), curr.tolist(), noise, CAMERA)
-    expected = pv.estimate_motion(
-        prev, curr, pv.noise.StudentT().predict(np.zeros((60, 0))), CAMERA
-    )
+    motion = pv.estimate_motion(prev.tolist(), curr.tolist(), "student-t", CAMERA)
+    expected = pv.estimate_motion(prev, curr, pv.noise.StudentT(), CAMERA)
     np.testing.assert_array_equal(motion.T_curr_prev, expected.T_curr_prev)
     np.testing.assert_allclose(motion.T_curr_prev, T_TRUE, atol=0.05)
+
+
+def test_predicted_noise_is_taken_as_it_is() -> None:
+    prev, curr = matches(np.random.default_rng(2), 60, np.tile(0.01 * np.eye(4), (60, 1, 1)))
+    absolute = pv.noise.StudentT(scale_is_relative=False)
+    motion = pv.estimate_motion(prev, curr, absolute.predict(np.zeros((60, 0))), CAMERA)
+    expected = pv.estimate_motion(prev, curr, absolute, CAMERA)
+    np.testing.assert_array_equal(motion.cov, expected.cov)
+    assert motion.noise_factor == 1.0
+
+
+@pytest.mark.parametrize("sigma_px", [0.05, 0.5, 1.0])
+def test_noise_of_a_relative_scale_is_scaled_to_the_matches(sigma_px: float) -> None:
+    """The size of the errors is not known before; the covariance is consistent all the same."""
+    rng = np.random.default_rng(4)
+    squared = []
+    for _ in range(60):
+        prev, curr = matches(rng, 60, np.tile(sigma_px**2 * np.eye(4), (60, 1, 1)))
+        motion = pv.estimate_motion(prev, curr, "student-t", CAMERA)
+        assert motion.status is pv.Status.OK
+        assert motion.num_inliers > 30
+        squared.append(
+            normalized_error_squared(T_TRUE[None], motion.T_curr_prev[None], motion.cov[None])
+        )
+    assert 4.0 < np.mean(squared) < 9.0
 
 
 @pytest.mark.parametrize("count", [0, 2])
@@ -195,6 +217,8 @@ def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None
     np.testing.assert_allclose(cov[-1], motions[-1].cov_cam_world, rtol=1e-9, atol=1e-13)
     with pytest.raises(InputError, match="not a MotionEstimate"):
         pv.compound([np.eye(4)])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"^motions: is MotionEstimate\(.*\n *Give a list"):
+        pv.compound(motions[1])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

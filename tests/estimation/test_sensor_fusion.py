@@ -325,10 +325,11 @@ def test_the_innovation_of_a_solve_is_that_before_it() -> None:
     # The residual falls as J grows: e(Exp(ξ) T) = e + J ξ, so the update is against it.
     T_after = se3.exp(-gain @ innovation) @ T_prior
     cov = (np.eye(6) - gain @ J) @ P
-    ((squared, weight),) = motion_innovations(
+    ((squared, weight, is_gated),) = motion_innovations(
         [one], T_after, pose_of(0), cov=cov, common_mode=np.zeros((6, 1))
     )
     assert weight == 1.0
+    assert not is_gated
     assert squared == pytest.approx(float(innovation @ innovation) / S.item(), rel=0.02)
 
 
@@ -336,11 +337,30 @@ def test_a_measurement_of_the_motion_has_the_weight_of_the_solve() -> None:
     """Wheels that slip by a metre, ten standard deviations, hardly count."""
     one = TravelledDistance(2.0, 0.1, pose_of(0)).bounded()
     (residual,) = one.residual({pose_of(0): FORWARD})
-    ((_, weight),) = motion_innovations(
+    ((_, weight, is_gated),) = motion_innovations(
         [one], FORWARD, pose_of(0), cov=1e-4 * np.eye(6), common_mode=np.zeros((6, 1))
     )
     assert weight == pytest.approx((large_residual_threshold(1) / (residual / 0.1) ** 2) ** 2)
     assert weight < 0.01
+    assert is_gated
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_wild_measurement_of_the_motion_is_gated(estimator: str) -> None:
+    """Its bounded loss gives it a weight that is not quite 0."""
+    frames = drive(np.random.default_rng(1), 12, points=60)
+    true_m = float(np.linalg.norm(FORWARD[:3, 3]))
+
+    def wheels(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        travelled_m = true_m + (5.0 if frame.index == 8 else 0.0)
+        curr = pose_of(frame.index)
+        return [TravelledDistance(travelled_m, 0.02, curr, pose_of(prev_frame.index))]
+
+    odometry = pv.StereoOdometry(CAMERA, config={"estimator": estimator}, sensors=[wheels])
+    outcomes = [odometry.step(frame).sensors for frame in frames]
+    states = [one[0].state for one in outcomes[1:]]
+    assert [index for index, state in enumerate(states, start=1) if state == "gated"] == [8]
+    assert 0.0 < outcomes[8][0].weight < 1e-3
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -108,6 +108,22 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: TravelledDistance(1.0, [0.1], POSE),
         r"TravelledDistance: sigma_m: is \[0\.1\]",
     ),
+    "angles without a value": (
+        lambda: Direction.of_angles(POSE, (None, 1.0), np.array([0.0, 1.0, 0.0]), np.eye(2)),
+        "Direction: angles_rad: is None",
+    ),
+    "no angles": (
+        lambda: Direction.of_angles(POSE, None, np.array([0.0, 1.0, 0.0]), np.eye(2)),
+        "Direction: angles_rad: is None",
+    ),
+    "angles without a covariance": (
+        lambda: Direction.of_angles(POSE, (0.0, 1.0), np.array([0.0, 1.0, 0.0]), None),
+        r"Direction: covariance: it has shape \(\)",
+    ),
+    "heading of no pose": (
+        lambda: read_sensor("gps", lambda prev, curr: [Heading(None, 0.1, 0.1)], PREV, CURR),
+        r"sensor gps: at frame 1 it measured None, which is no pose\.\n *Give the current",
+    ),
     "motion without its last row": (
         lambda: RelativePose(np.eye(4)[:3], np.eye(6), POSE),
         r"T_curr_prev: it has shape \(3, 4\)",

@@ -201,6 +201,22 @@ def test_samples_that_do_not_cover_the_interval_give_a_reason(
 
 
 @pytest.mark.parametrize(
+    ("offset_s", "text"),
+    [
+        (-3.2, "has samples that end 3.1 s before the previous frame (are its stamps ns, on"),
+        (5.25, "has samples that begin 5.15 s after the current frame (are its stamps ns, on"),
+    ],
+)
+def test_samples_of_another_clock_are_said_to_be_so(offset_s: float, text: str) -> None:
+    imu = samples(np.zeros(3), np.zeros(3))
+    shifted = replace(imu, stamps_ns=imu.stamps_ns + round(1e9 * offset_s))
+    found = preintegrate(shifted, START_NS, END_NS, CALIBRATION)
+    assert isinstance(found, NoPreintegration)
+    assert found.reason.fault is ImuFault.OUTSIDE_INTERVAL
+    assert found.reason.text.startswith(text)
+
+
+@pytest.mark.parametrize(
     ("frame_hz", "sample_hz", "covers"),
     [
         (75, 200, True),

@@ -87,6 +87,7 @@ def _built(message: Message, store: Any, *, is_ros1: bool, number: int) -> Any:
     fields = dict(message.fields)
     if message.type == "sensor_msgs/msg/CameraInfo":
         roi = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        roi |= fields.get("roi", {})
         fields["roi"] = types["sensor_msgs/msg/RegionOfInterest"](**roi)
         if not is_ros1:
             fields = {name.lower(): value for name, value in fields.items()}

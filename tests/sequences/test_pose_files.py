@@ -120,3 +120,41 @@ def test_a_path_of_another_shape_is_refused(tmp_path: Path, T_world_cam: FloatAr
         pv.write_tum(tmp_path / "path.tum", stamps_s, T_world_cam)  # type: ignore[arg-type]
     pv.write_tum(str(tmp_path / "path.tum"), (1e9 * stamps_s).astype(np.int64), T_world_cam)
     assert len((tmp_path / "path.tum").read_text().splitlines()) == len(T_world_cam)
+
+
+def test_unknown_poses_have_no_line_in_tums_format(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    T_world_cam[3] = np.nan
+    T_world_cam[7, :3] = np.nan
+    stamps_ns = np.arange(40) * 10**8
+    pv.write_tum(tmp_path / "path.tum", stamps_ns, T_world_cam)
+    read_ns, read_T = read_tum(tmp_path / "path.tum")
+    known = np.delete(np.arange(40), [3, 7])
+    np.testing.assert_array_equal(read_ns, stamps_ns[known])
+    np.testing.assert_allclose(read_T, T_world_cam[known], atol=1e-15, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("pose", "complaint"),
+    [
+        (np.zeros((4, 4)), "pose 5 .* holds no rotation matrix"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "pose 5 .* holds no rotation matrix"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "pose 5 .* holds no rotation matrix"),
+        (np.diag([1.0, 1.0, np.nan, 1.0]), "pose 5 .* is partly not finite"),
+    ],
+)
+def test_what_is_no_pose_is_not_written(
+    tmp_path: Path, T_world_cam: FloatArray, pose: FloatArray, complaint: str
+) -> None:
+    T_world_cam[5] = pose
+    with pytest.raises(InputError, match=f"T_world_cam: {complaint}"):
+        pv.write_tum(tmp_path / "path.tum", np.arange(40) * 10**8, T_world_cam)
+    with pytest.raises(InputError, match=f"T_world_cam: {complaint}"):
+        pv.write_kitti_poses(tmp_path / "path.txt", T_world_cam)
+    assert not list(tmp_path.iterdir())
+
+
+def test_stamps_that_do_not_ascend_are_not_written(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    stamps_ns = np.arange(40) * 10**8
+    stamps_ns[9] = stamps_ns[8]
+    with pytest.raises(InputError, match=r"stamps_ns: stamp 9 \(from 0\), 800000000 ns, is not"):
+        pv.write_tum(tmp_path / "path.tum", stamps_ns, T_world_cam)

@@ -97,6 +97,54 @@ def test_unsigned_stamps_of_the_imu_are_compared_as_signed_ones() -> None:
         validated(frame(imu=replace(samples(), stamps_ns=stamps_ns)), CAMERA, None)
 
 
+def test_a_sample_that_a_driver_gives_twice_counts_once() -> None:
+    once = samples()
+    rows = np.insert(np.arange(11), 4, 3)
+    twice = ImuSamples(once.stamps_ns[rows], once.gyro_rad_s[rows], once.accel_m_s2[rows])
+    usable, missing = validated(frame(imu=twice), CAMERA, None)
+    assert usable.imu is not None
+    np.testing.assert_array_equal(usable.imu.stamps_ns, once.stamps_ns)
+    assert missing == (MissingData(Defect.STAMP_REPEATED, 1, 12),)
+    assert str(missing[0]) == "1 of 12 IMU samples with the stamp of the sample before"
+    refused = usable_imu(frame(imu=twice, stamp_ns=None))
+    assert refused is not None
+    np.testing.assert_array_equal(refused.stamps_ns, once.stamps_ns)
+
+
+def test_stamps_of_numpy_do_not_overflow() -> None:
+    first = frame(index=np.int64(0), stamp_ns=np.int64(-(2**62)), imu=None)
+    second = frame(index=np.int64(1), stamp_ns=np.int64(2**62 + 2**61), imu=None)
+    prev, _ = validated(first, CAMERA, None)
+    curr, _ = validated(second, CAMERA, prev)
+    assert curr.stamp_ns - prev.stamp_ns == 2**63 + 2**61
+
+
+@pytest.mark.parametrize(
+    ("unit_ns", "cure"),
+    [
+        (1_000, r"Are these microseconds\? Multiply them by 1,000"),
+        (1_000_000, r"Are these milliseconds\? Multiply them by 1,000,000"),
+        (1_000_000_000, r"if the camera's stamps have jumped(.|\n)*nanoseconds, not seconds"),
+    ],
+)
+def test_stamps_of_another_unit_are_refused(unit_ns: int, cure: str) -> None:
+    """In whole seconds, frames have equal stamps."""
+    first = frame(index=0, stamp_ns=START_NS // unit_ns, imu=None)
+    second = frame(stamp_ns=(START_NS + FRAME_NS) // unit_ns, imu=None)
+    with pytest.raises(InputError, match=rf"(?i){cure}"):
+        validated(second, CAMERA, first)
+
+
+@pytest.mark.parametrize(
+    ("start_ns", "step_ns"), [(0, 1_000_000), (1_700_000_000_000_000_000, 100_000)]
+)
+def test_fast_cameras_and_stamps_of_arrival_are_taken(start_ns: int, step_ns: int) -> None:
+    """A camera of 1 kHz; and images that arrive nearly at once, whose stamps since 1970 can be in
+    no other unit."""
+    first = frame(index=0, stamp_ns=start_ns, imu=None)
+    validated(frame(stamp_ns=start_ns + step_ns, imu=None), CAMERA, first)
+
+
 FRAME_CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "index float": ({"index": 1.0}, r"its index is 1\.0"),
     "index of the frame before": ({"index": 0}, "its index, 0, is not after that of the frame"),

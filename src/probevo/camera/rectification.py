@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NamedTuple, NoReturn, get_args
 
 import cv2
 import numpy as np
+from numpy.polynomial import Polynomial
 
-from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.camera.image_scale import ImageScale
 from probevo.camera.stereo import StereoCamera, check_camera, check_intrinsics
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
 UPSIDE_DOWN_DEG = 135.0
 """Roll between the cameras above which half a turn of an image leaves less of it than a quarter
 does."""
+DIAGONAL_DEG = 1.0
+"""Difference of the baseline from the diagonal up to which a quarter of a turn may leave it as far
+from the rows; calibrations know its direction better."""
+MAX_LEVEL_DEG = 5.0
+"""Inclination of the baseline in the image up to which a pair is zoomed until only valid pixels are
+left; without distortion, that costs an eighth of either side at most."""
+_OUTSIDE_PX = -2.0
+"""A place outside of each raw image, where a remapped pixel is black."""
 _PixelMaps = tuple[AnyArray, AnyArray]
 """For each rectified pixel its place in the raw image, in OpenCV's fixed-point form."""
 
@@ -75,9 +85,12 @@ class Rectification:
     right_maps: _PixelMaps
     left_mask: Image | None
     """Where the rectified left image lies inside the raw one, [height, width], uint8: 255, and 0
-    where it does not and is black. None if it does everywhere."""
+    where it does not, or the distortion folds over, and is black. None if it does everywhere."""
     right_mask: Image | None
     """The same of the right image."""
+    left: PinholeCamera
+    """The left camera before rectification."""
+    right: PinholeCamera
 
     @classmethod
     def from_calibration(
@@ -89,9 +102,12 @@ class Rectification:
     ) -> Rectification:
         """Rotate both cameras so that their rows align.
 
-        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image. An
-        "equidistant" pair keeps its focal length, and with it the resolution at the centre: the
-        whole field of view of a fisheye lens would cost most of that resolution.
+        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image. Where the
+        line between the cameras is inclined in the images by more than ``MAX_LEVEL_DEG``, that
+        would leave little of the view: such a pair is not magnified, and what lies outside of the
+        raw images is masked. An "equidistant" pair keeps its focal length, and with it the
+        resolution at the centre: the whole field of view of a fisheye lens would cost most of that
+        resolution.
 
         Args:
             left: calibration of the left camera.
@@ -100,9 +116,11 @@ class Rectification:
             where: file that the calibration comes from, for messages.
 
         Raises:
-            InputError: the two cameras do not match, T_right_left holds no rotation, or the
-                rectified pair is not horizontal or looks elsewhere than the raw pair.
+            InputError: a camera is impossible, the two do not match, T_right_left is no rigid
+                motion, or the rectified pair is not horizontal or looks elsewhere than the raw
+                pair.
         """
+        T_right_left = _as_transform(T_right_left, where)
         _check_pair(left, right, T_right_left, where=where)
         C_rect_left, C_rect_right, P_left, P_right = _stereo_rectify(left, right, T_right_left)
 
@@ -130,6 +148,8 @@ class Rectification:
             right_maps=right_maps,
             left_mask=_mask_of(left_maps, left.size_px),
             right_mask=_mask_of(right_maps, right.size_px),
+            left=left,
+            right=right,
         )
 
     @classmethod
@@ -178,24 +198,40 @@ class Rectification:
             right_maps=right_maps,
             left_mask=_mask_of(left_maps, left.size_px),
             right_mask=_mask_of(right_maps, right.size_px),
+            left=left,
+            right=right,
         )
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         """Rectify a pair of raw images, [height, width] each.
 
         Raises:
-            InputError: the size of an image differs from the calibration's.
+            InputError: an image is not grey with 8 bits, or its size differs from the
+                calibration's.
         """
-        for name, image in (("left", left), ("right", right)):
-            if image.shape[1::-1] != self.camera.size_px:
-                what = (
-                    f"the {name} image has shape {image.shape}, the cameras see"
-                    f" {self.camera.size_px} px."
-                )
-                raise InputError(
-                    "rectification", what, "Give raw images of the size of the calibration."
-                )
+        self._check_image("left", left)
+        self._check_image("right", right)
         return _remapped(left, self.left_maps), _remapped(right, self.right_maps)
+
+    def _check_image(self, name: str, image: object) -> None:
+        """Refuse a raw image of another kind than 8-bit grey, or of a wrong size.
+
+        Raises:
+            InputError: names the image.
+        """
+        where = "rectification"
+        if not isinstance(image, np.ndarray):
+            what = f"the {name} image is {brief(image)}."
+            raise InputError(where, what, "Give a NumPy array, [height, width], of type uint8.")
+        if image.ndim != 2 or image.dtype != np.uint8:
+            what = f"the {name} image is {image.dtype} of shape {image.shape}."
+            raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
+        if image.shape[::-1] != self.camera.size_px:
+            what = (
+                f"the {name} image has shape {image.shape}, the cameras see"
+                f" {self.camera.size_px} px."
+            )
+            raise InputError(where, what, "Give raw images of the size of the calibration.")
 
 
 def without_unused(distortion: FloatArray) -> FloatArray:
@@ -204,6 +240,23 @@ def without_unused(distortion: FloatArray) -> FloatArray:
     if len(distortion) in (12, 14) and not np.any(distortion[8:]):
         return distortion[:8]
     return distortion
+
+
+def _as_transform(T_right_left: object, where: str | Path) -> FloatArray:
+    """Return a transform between the cameras as an array, [4, 4].
+
+    Raises:
+        InputError: it has another shape, or holds something else than numbers.
+    """
+    given: Any = T_right_left
+    try:
+        T = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        T = np.empty(0)
+    if T.shape != (4, 4):
+        what = f"T_right_left is {brief(T_right_left)}."
+        raise InputError(where, what, "Give p_right = T_right_left p_left as [4, 4], in m.")
+    return T
 
 
 def _check_pair(
@@ -251,7 +304,8 @@ def _refuse_vertical(T_right_left: FloatArray, where: str | Path) -> NoReturn:
     """Refuse cameras that, rotated halfway towards each other, lie one above the other.
 
     Raises:
-        InputError: always; says whether the right camera is upside down.
+        InputError: always; says whether the right camera is upside down, and how to turn the
+            images.
     """
     roll_deg = np.rad2deg(np.arctan2(T_right_left[1, 0], T_right_left[0, 0]))
     if abs(roll_deg) > UPSIDE_DOWN_DEG:
@@ -260,10 +314,21 @@ def _refuse_vertical(T_right_left: FloatArray, where: str | Path) -> NoReturn:
             " left one."
         )
         raise InputError(where, what, "Turn its images by 180°, and calibrate with these.")
-    what = "the right camera lies above or below the left one."
-    raise InputError(
-        where, what, "Only cameras side by side are supported; turn both images by 90°."
+    C_right_left = T_right_left[:3, :3]
+    baseline = so3.exp(-0.5 * so3.log(C_right_left)) @ T_right_left[:3, 3]
+    diagonal_deg = np.rad2deg(np.arctan2(abs(baseline[1]), abs(baseline[0]))) - 45.0
+    if abs(diagonal_deg) < DIAGONAL_DEG:
+        what = f"the line between the cameras is inclined by {45.0 + diagonal_deg:.0f}°."
+        cure = "Only cameras side by side are supported; mount them so, or one above the other."
+        raise InputError(where, what, cure)
+    # v counts downwards: p_right has a larger v than p_left where the right camera lies above.
+    is_above = baseline[1] > 0.0
+    what = f"the right camera lies {'above' if is_above else 'below'} the left one."
+    cure = (
+        "Only cameras side by side are supported; turn both images by 90°"
+        f" {'clockwise' if is_above else 'anticlockwise'}, and calibrate with these."
     )
+    raise InputError(where, what, cure)
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:
@@ -292,6 +357,13 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
     Raises:
         InputError: names the value at fault.
     """
+    if camera.distortion_model not in get_args(DistortionModel):
+        what = f"distortion_model is {brief(camera.distortion_model)}."
+        cure = (
+            "Give radtan, which is ROS's plumb_bob, with k1, k2, p1, p2 and then k3 if there is"
+            " one; or equidistant, for fisheye lenses, with k1 … k4."
+        )
+        raise InputError(where, what, cure)
     check_intrinsics(
         fu_px=camera.fu_px,
         fv_px=camera.fv_px,
@@ -301,31 +373,57 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
         where=where,
     )
     allowed = (4, 5, 8) if camera.distortion_model == "radtan" else (4,)
-    if len(camera.distortion) not in allowed or not np.isfinite(camera.distortion).all():
+    given: Any = camera.distortion
+    try:
+        distortion = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        distortion = np.empty(0)
+    is_list = distortion.ndim == 1 and len(distortion) in allowed
+    if not is_list or not np.isfinite(distortion).all():
         cure = (
             f"{camera.distortion_model} takes {' or '.join(map(str, allowed))} finite coefficients."
         )
-        raise InputError(where, f"distortion is {camera.distortion}.", cure)
+        raise InputError(where, f"distortion is {brief(camera.distortion)}.", cure)
+
+
+class _RectifiedPair(NamedTuple):
+    """The rectifying rotations and the rectified projections of a pair."""
+
+    C_rect_left: AnyArray
+    C_rect_right: AnyArray
+    """[3, 3] each."""
+    P_left: AnyArray
+    P_right: AnyArray
+    """[3, 4] each."""
 
 
 def _stereo_rectify(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray
-) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Compute the rectifying rotations and the rectified projections.
+) -> _RectifiedPair:
+    """Compute the rectifying rotations and the rectified projections."""
+    # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
+    # length; the pixel maps undo the distortion.
+    unzoomed = _rectified_by_opencv(left, right, T_right_left, zoom=-1.0)
+    if left.distortion_model != "radtan":
+        return unzoomed
+    # OpenCV's alpha of 0: zoom until only valid pixels are left. Where the baseline is inclined in
+    # the images, these turn, and little of them would be left.
+    zoomed = _rectified_by_opencv(left, right, T_right_left, zoom=0.0)
+    baseline = zoomed.C_rect_left[0]  # its direction, in the raw left camera
+    is_inclined = abs(baseline[1]) > np.tan(np.deg2rad(MAX_LEVEL_DEG)) * abs(baseline[0])
+    is_magnified = zoomed.P_left[0, 0] > unzoomed.P_left[0, 0]
+    return unzoomed if is_inclined and is_magnified else zoomed
 
-    Returns:
-        C_rect_left, C_rect_right, [3, 3], and P_left, P_right, [3, 4].
+
+def _rectified_by_opencv(
+    left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, *, zoom: float
+) -> _RectifiedPair:
+    """Compute the rectifying rotations and projections for a zoom, OpenCV's alpha.
+
+    A negative one leaves distortion and zoom out.
     """
-    if left.distortion_model == "radtan":
-        left_distortion = np.array(left.distortion)
-        right_distortion = np.array(right.distortion)
-        zoom = 0.0  # OpenCV's alpha: zoom until only valid pixels are left
-    else:
-        # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
-        # length; the pixel maps undo the distortion.
-        left_distortion = np.zeros(4)
-        right_distortion = np.zeros(4)
-        zoom = -1.0
+    left_distortion = np.array(left.distortion) if zoom >= 0.0 else np.zeros(4)
+    right_distortion = np.array(right.distortion) if zoom >= 0.0 else np.zeros(4)
     C_rect_left, C_rect_right, P_left, P_right, *_ = cv2.stereoRectify(
         cameraMatrix1=left.matrix,
         distCoeffs1=left_distortion,
@@ -337,7 +435,7 @@ def _stereo_rectify(
         flags=cv2.CALIB_ZERO_DISPARITY,  # same principal point: points at infinity have d = 0
         alpha=zoom,
     )
-    return C_rect_left, C_rect_right, P_left, P_right
+    return _RectifiedPair(C_rect_left, C_rect_right, P_left, P_right)
 
 
 def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> _PixelMaps:
@@ -352,6 +450,7 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
             size=camera.size_px,
             m1type=cv2.CV_32FC1,
         )
+        u[_is_folded(camera, C_rect_cam, P_rect)] = _OUTSIDE_PX
     else:
         u, v = cv2.fisheye.initUndistortRectifyMap(
             K=camera.matrix,
@@ -365,6 +464,40 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
     # faster than pairs of floats.
     fixed_point, fraction = cv2.convertMaps(u, v, cv2.CV_16SC2)
     return fixed_point, fraction
+
+
+def _is_folded(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> BoolArray:
+    """Return which rectified pixels, [height, width], the "radtan" model maps into the raw image a
+    second time: the distorted radius shrinks there instead of growing with the angle."""
+    width_px, height_px = camera.size_px
+    v, u = np.indices((height_px, width_px))
+    x = (u - P_rect[0, 2]) / P_rect[0, 0]
+    y = (v - P_rect[1, 2]) / P_rect[1, 1]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ C_rect_cam
+    z = rays[..., 2]
+    radius_sq = (rays[..., 0] ** 2 + rays[..., 1] ** 2) / np.where(z > 0.0, z, np.nan) ** 2
+    is_beyond: BoolArray = ~(radius_sq < _fold_radius_sq(camera.distortion))
+    return is_beyond
+
+
+def _fold_radius_sq(distortion: Sequence[float]) -> float:
+    """Return the squared normalised radius up to which the distorted one grows; it may be inf.
+
+    The small tangential terms are left out.
+    """
+    coefficients = np.zeros(8)
+    coefficients[: len(distortion)] = distortion
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients.tolist()
+    # With s = r², the distorted radius is r N(s) / D(s). Its derivative has the sign of
+    # N D + 2 s (N' D − N D').
+    numerator = Polynomial([1.0, k1, k2, k3])
+    denominator = Polynomial([1.0, k4, k5, k6])
+    change = numerator.deriv() * denominator - numerator * denominator.deriv()
+    sign = numerator * denominator + Polynomial([0.0, 2.0]) * change
+    roots = np.concatenate([sign.trim().roots(), denominator.trim().roots()])
+    is_real = np.abs(roots.imag) <= 1e-9 * np.abs(roots)
+    positive = roots.real[is_real & (roots.real > 0.0)]
+    return float(positive.min(initial=np.inf))
 
 
 def _remapped(image: Image, maps: _PixelMaps) -> Image:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,8 +48,9 @@ class StereoCamera:
 
     def __post_init__(self) -> None:
         """Take a size that is a list, as YAML has it, for the tuple that it is compared with."""
-        if isinstance(self.size_px, list | np.ndarray):
-            object.__setattr__(self, "size_px", tuple(int(side) for side in self.size_px))
+        if isinstance(self.size_px, list | tuple | np.ndarray):
+            sides: Any = self.size_px
+            object.__setattr__(self, "size_px", tuple(_as_whole(side) for side in sides))
 
     @property
     def extent_px(self) -> tuple[float, float]:
@@ -196,7 +198,7 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         size_px=camera.size_px,
         where=where,
     )
-    if not abs(camera.baseline_m) <= MAX_M:
+    if not _is_number(camera.baseline_m) or not abs(camera.baseline_m) <= MAX_M:
         raise InputError(
             where, f"baseline_m is {brief(camera.baseline_m)}.", "It must be a finite number."
         )
@@ -211,7 +213,7 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
             "Are the left and right cameras swapped? Exchange them: images or topics, and"
             " calibrations.",
         )
-    if not abs(camera.readout_s) <= MAX_READOUT_S:
+    if not _is_number(camera.readout_s) or not abs(camera.readout_s) <= MAX_READOUT_S:
         raise InputError(
             where,
             f"readout_s is {brief(camera.readout_s)} s.",
@@ -231,12 +233,12 @@ def check_intrinsics(
     """Refuse intrinsics that no pinhole camera can have.
 
     Raises:
-        InputError: a value is not finite, a focal length or the image size is not positive, or the
-            principal point is more than half an image outside the image or a hundred focal lengths
-            from the first pixel.
+        InputError: a value is no finite number, a focal length or the image size is not positive,
+            or the principal point is more than half an image outside the image or a hundred focal
+            lengths from the first pixel.
     """
     for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
-        if not abs(value) <= MAX_PX:
+        if not _is_number(value) or not abs(value) <= MAX_PX:
             what = f"{name} is {brief(value)}."
             raise InputError(where, what, f"It must be a finite number, at most {MAX_PX:g} px.")
     for name, focal_px in {"fu_px": fu_px, "fv_px": fv_px}.items():
@@ -252,6 +254,10 @@ def check_intrinsics(
             )
     if size_px is None:
         return
+    is_pair = isinstance(size_px, tuple) and len(size_px) == 2
+    if not is_pair or not all(isinstance(side, int | np.integer) for side in size_px):
+        what = f"size_px is {brief(size_px)}."
+        raise InputError(where, what, "It is (width, height), both whole numbers.")
     if max(size_px) > MAX_PX:
         what = f"size_px is {brief(tuple(size_px))}."
         raise InputError(where, what, f"An image has at most {MAX_PX:g} columns and rows.")
@@ -262,3 +268,17 @@ def check_intrinsics(
         if not -0.5 * length_px <= center_px <= 1.5 * length_px:
             what = f"{name} is {center_px:g} px, far outside the image of {size} px."
             raise InputError(where, what, "Was the camera calibrated at another resolution?")
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a single number; one of another type cannot be compared."""
+    return isinstance(value, int | float | np.integer | np.floating)
+
+
+def _as_whole(side: object) -> object:
+    """Return a side of an image as an int if it is a whole number, and else as it is."""
+    if isinstance(side, np.integer):
+        return int(side)
+    if isinstance(side, float | np.floating) and side.is_integer():
+        return int(side)
+    return side

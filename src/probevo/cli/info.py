@@ -16,6 +16,7 @@ from probevo.cli.text import columns
 from probevo.run_config import ReadSettings, RunConfig
 
 if TYPE_CHECKING:
+    from probevo.camera.rectification import PinholeCamera
     from probevo.camera.stereo import StereoCamera
     from probevo.measurements.imu_reason import ImuReason
     from probevo.runs.first_matches import FirstMatches
@@ -120,7 +121,7 @@ def describe(sequence: Sequence) -> Rows:
         *rate_warnings(sequence),
         *_gaps(sequence),
         ("camera", camera),
-        *camera_warnings(sequence.camera),
+        *camera_warnings(sequence),
     ]
     if isinstance(sequence, ImageRecording):
         rows += sequence.notes
@@ -147,7 +148,7 @@ def print_reader_warnings(sequence: Sequence) -> None:
     about its camera and its rate, a line each."""
     notes: Iterable[tuple[str, str]] = getattr(sequence, "notes", ())
     warnings = [(name, text) for name, text in notes if name.startswith("!")]
-    warnings += camera_warnings(sequence.camera)
+    warnings += camera_warnings(sequence)
     warnings += rate_warnings(sequence)
     for name, text in warnings:
         print(f"probevo: warning: {name[1:].strip()}: {text}", file=sys.stderr)
@@ -184,10 +185,11 @@ def _gaps(sequence: Sequence) -> Rows:
     return [("! gaps", text)]
 
 
-def camera_warnings(camera: StereoCamera) -> Rows:
+def camera_warnings(sequence: Sequence) -> Rows:
     """Return what is unusual about a camera, and what may be wrong with it."""
     from probevo.output.run_facts import field_of_view_deg
 
+    camera = sequence.camera
     rows = []
     baseline_m = camera.baseline_m
     if not (USUAL_BASELINE_M[0] <= baseline_m <= USUAL_BASELINE_M[1]):
@@ -198,11 +200,15 @@ def camera_warnings(camera: StereoCamera) -> Rows:
         text = f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?"
         rows.append(("! view", text))
 
-    centers = zip((camera.cu_px, camera.cv_px), camera.size_px or (), strict=False)
-    if any(abs(center_px / length_px - 0.5) > MAX_OFF_CENTER for center_px, length_px in centers):
+    # A rectification moves the centre; that of the calibration is the raw cameras'.
+    rectification = getattr(sequence, "rectification", None)
+    calibrated = (camera,) if rectification is None else (rectification.left, rectification.right)
+    off_center = [one for one in calibrated if _is_off_center(one)]
+    if off_center:
+        first = off_center[0]
         text = (
-            f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the centre of an image of"
-            f" {2 * camera.cu_px:.0f}×{2 * camera.cv_px:.0f} px."
+            f"({first.cu_px:.0f}, {first.cv_px:.0f}) is the centre of an image of"
+            f" {2 * first.cu_px:.0f}×{2 * first.cv_px:.0f} px."
             " Was the camera calibrated at another resolution?"
         )
         rows.append(("! center", text))
@@ -214,6 +220,12 @@ def camera_warnings(camera: StereoCamera) -> Rows:
         )
         rows.append(("! focal length", text))
     return rows
+
+
+def _is_off_center(camera: StereoCamera | PinholeCamera) -> bool:
+    """Return whether the principal point is unusually far from the centre of the image."""
+    centers = zip((camera.cu_px, camera.cv_px), camera.size_px or (), strict=False)
+    return any(abs(center_px / side_px - 0.5) > MAX_OFF_CENTER for center_px, side_px in centers)
 
 
 def _imu(sequence: Sequence, stream: ImuStream) -> Rows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,14 @@ from probevo.camera.rig_jitter import common_sigma_px
 from probevo.camera.stereo import StereoCamera
 from probevo.config import RansacConfig
 from probevo.errors import InputError, brief
-from probevo.estimation.feature_weights import agree_with_noise, num_inliers
+from probevo.estimation.feature_weights import (
+    agree_with_noise,
+    comparable_weights,
+    num_inliers,
+    scale_of_residuals,
+)
 from probevo.estimation.motion_estimate import MAX_UNKNOWN, MotionEstimate, Status
+from probevo.estimation.noise_scale import MAX_FACTOR
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.estimation.reprojection import (
     ReprojectionSolution,
@@ -23,7 +30,7 @@ from probevo.estimation.reprojection import (
 from probevo.geometry import se3
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
-from probevo.noise.base import predicted_noise
+from probevo.noise.base import has_relative_scale, predicted_noise
 from probevo.python_arguments import as_camera, as_finite_array, as_noise, as_seed
 from probevo.tracking.left_right import check_features
 from probevo.tracking.tracks import Tracks
@@ -34,6 +41,8 @@ MIN_VARIANCE_PX2 = 1e-12
 """Smallest variance of an observation: below, its inverse is rounding."""
 MAX_SOLVES = 4
 """Solves, after each of which all matches are tested again."""
+MAX_LOG_FACTOR_CHANGE = 0.05
+"""Change of the noise, as that of the logarithm of its variances, that needs no further solve."""
 THRESHOLD_SIGMAS = 4.0
 """Threshold of RANSAC in standard deviations of a usual residual: hardly an inlier is beyond."""
 
@@ -50,8 +59,9 @@ def estimate_motion(
     """Estimate the motion between two frames from N stereo matches: T_curr_prev, its covariance.
 
     RANSAC finds a start, and the solver uses the matches that their noise explains there, each
-    weighted by it. Calls are independent of each other, so the covariance contains no error that
-    persists over frames.
+    weighted by it. Of a model whose scale is relative (``has_relative_scale``), the variances are
+    multiplied by what the residuals show (``MotionEstimate.noise_factor``). Calls are independent
+    of each other, so the covariance contains no error that persists over frames.
 
     Args:
         prev_px: (u_l, v_l, u_r, v_r) in the previous frame, rectified, [N, 4], px.
@@ -74,7 +84,7 @@ def estimate_motion(
     camera = as_camera(camera)
     prev = as_finite_array(prev_px, "prev_px", (None, 4))
     curr = as_finite_array(curr_px, "curr_px", (len(prev), 4))
-    match_noise = _as_match_noise(noise, len(prev), camera)
+    match_noise, scale_is_relative = _as_match_noise(noise, len(prev), camera)
     start = np.eye(4)
     if guess is not None:
         start = se3.check_transform(as_finite_array(guess, "guess", (4, 4)), "guess")
@@ -100,14 +110,21 @@ def estimate_motion(
     # covariance would be too small.
     agreeing = consensus.inliers
     T_curr_prev = consensus.T_curr_prev
+    factor = 1.0
+    factor_shown = 1.0
     for _ in range(MAX_SOLVES):
         used = agreeing
+        factor = factor_shown
         if used.sum() < MIN_MATCHES:
             return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
-        solution = _solved(tracks, match_noise, used, camera, T_curr_prev)
+        solution = _solved(tracks, match_noise.scaled(factor), used, camera, T_curr_prev)
         T_curr_prev = solution.T_curr_prev
-        agreeing = _agree(tracks, match_noise, camera, solution)
-        if (agreeing == used).all():
+        squared = _squared_residuals(tracks, match_noise, camera, solution)
+        if scale_is_relative:
+            factor_shown = _noise_factor(squared, match_noise)
+        agreeing = agree_with_noise(squared, match_noise.dof, factor_shown)
+        is_same_noise = abs(math.log(factor_shown / factor)) < MAX_LOG_FACTOR_CHANGE
+        if (agreeing == used).all() and is_same_noise:
             break
     if not np.isfinite(solution.cov).all():
         return _failed(Status.DEGENERATE, start, len(tracks))
@@ -116,10 +133,21 @@ def estimate_motion(
         cov=solution.cov,
         status=Status.OK if solution.converged else Status.NOT_CONVERGED,
         num_tracks=len(tracks),
-        num_inliers=num_inliers(solution.weight),
+        num_inliers=num_inliers(comparable_weights(solution, match_noise.dof[used])),
         iterations=solution.iterations,
         num_used=int(used.sum()),
+        noise_factor=factor,
     )
+
+
+def _noise_factor(squared: FloatArray, noise: StereoNoise) -> float:
+    """Return the factor by which the variances of a noise model would fit the residuals at a motion
+    that was solved for, [N]: as that of one step (``NoiseScale``)."""
+    # Of four numbers a match, the six of the motion are fitted.
+    num_numbers = 4.0 * len(squared)
+    fitted = num_numbers / (num_numbers - 6.0)
+    shown = fitted * scale_of_residuals(squared, noise.dof)
+    return min(max(shown, 1.0 / MAX_FACTOR), MAX_FACTOR)
 
 
 def _threshold_px(noise: StereoNoise) -> float:
@@ -148,18 +176,17 @@ def _solved(
     return solve_reprojection(observations, guess=guess)
 
 
-def _agree(
+def _squared_residuals(
     tracks: Tracks, noise: StereoNoise, camera: StereoCamera, solution: ReprojectionSolution
-) -> BoolArray:
-    """Return which matches are as near to a solve, to its motion and to its jitter of the rig, as
-    their noise explains, [N]."""
+) -> FloatArray:
+    """Return how far N matches are from a solve, from its motion and its jitter of the rig, in
+    their noise: eᵀ Σ⁻¹ e, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
-    squared = evaluated_at(solution, observations).squared
-    return agree_with_noise(squared, noise.dof)
+    return evaluated_at(solution, observations).squared
 
 
-def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
-    """Return the noise of the matches.
+def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> tuple[StereoNoise, bool]:
+    """Return the noise of the matches, and whether it is that of a model whose scale is relative.
 
     Raises:
         InputError: it is no noise, or does not fit the matches.
@@ -170,7 +197,7 @@ def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> StereoNo
         for scale in (noise.scale, noise.prev_scale):
             if scale is not None:
                 _check_covariances(scale)
-        return noise
+        return noise, False
     if isinstance(noise, str | Path) or hasattr(noise, "predict"):
         model = as_noise(noise)
         model.check_camera(camera)
@@ -178,8 +205,8 @@ def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> StereoNo
             what = f"depends on the predictors {', '.join(model.columns)}."
             cure = "Give what it predicts for these matches: model.predict(phi), a StereoNoise."
             raise InputError("noise", what, cure)
-        return predicted_noise(model, np.zeros((count, 0)))
-    return _gaussian(noise, count)
+        return predicted_noise(model, np.zeros((count, 0))), has_relative_scale(model)
+    return _gaussian(noise, count), False
 
 
 def _gaussian(noise: object, count: int) -> StereoNoise:

@@ -93,7 +93,8 @@ class MotionEstimate:
     """Tracks used that are outside of the noise model's training data; None without a solve, or if
     the model has no such domain."""
     noise_factor: float = 1.0
-    """Running factor of the noise model's variances with which this step began (``NoiseScale``)."""
+    """Running factor of the noise model's variances with which this step began (``NoiseScale``); of
+    ``estimate_motion``, the one that its matches show."""
     T_world_cam: FloatArray = field(default_factory=lambda: np.eye(4))
     """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the
     motions so far compounded, and corrected by measurements of the pose where there were any."""

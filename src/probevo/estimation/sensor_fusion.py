@@ -88,6 +88,8 @@ class SensorInnovation(NamedTuple):
     """Squared Mahalanobis distance; None where it was not tested."""
     weight: float
     """Robust weight of the measurement; 0 if it is rejected."""
+    is_gated: bool = False
+    """Whether it is beyond the gate; one of the motion then has a small weight instead of 0."""
 
 
 class _GatedUpdate(NamedTuple):
@@ -325,15 +327,15 @@ def _outcome(
         return SensorOutcome(memory.name, "excluded", memory.excluded)
     if not innovations:
         return SensorOutcome(memory.name, "silent", reading.reason)
-    weights = [one.weight for one in innovations]
+    is_used = any(one.weight > 0.0 and not one.is_gated for one in innovations)
     return SensorOutcome(
         name=memory.name,
-        state="used" if max(weights) > 0.0 else "gated",
+        state="used" if is_used else "gated",
         mahalanobis_sq=max(
             (one.mahalanobis_sq for one in innovations if one.mahalanobis_sq is not None),
             default=None,
         ),
-        weight=min(weights),
+        weight=min(one.weight for one in innovations),
     )
 
 
@@ -367,14 +369,19 @@ def _gated_update(
         else:
             dim = len(measurement.covariance)
             weight = bounded_weight(mahalanobis_sq, large_residual_threshold(dim))
-            if mahalanobis_sq > chdtri(dim, GATE_TAIL):
+            if _is_beyond_gate(mahalanobis_sq, dim):
                 weight = 0.0
             else:
                 measurement = measurement.scaled(1.0 / weight)
         if weight > 0.0:
             kept.append(measurement)
-        innovations.append(SensorInnovation(mahalanobis_sq, weight))
+        innovations.append(SensorInnovation(mahalanobis_sq, weight, is_gated=weight == 0.0))
     return _GatedUpdate(pose_filter.updated(kept, pose), tuple(innovations))
+
+
+def _is_beyond_gate(mahalanobis_sq: float, dim: int) -> bool:
+    """Return whether an innovation of that dimension is too unlikely to be one of noise."""
+    return bool(mahalanobis_sq > chdtri(dim, GATE_TAIL))
 
 
 def _with_world_states(
@@ -601,8 +608,12 @@ def _reckoned_innovation(
     values = {variable: np.eye(4) for variable in measurement.variables}
     values[curr] = reckoned.T_curr_prev
     mahalanobis_sq = measurement.innovation_squared(values, reckoned.cov, of=curr)
-    threshold = large_residual_threshold(len(measurement.covariance))
-    return SensorInnovation(mahalanobis_sq, bounded_weight(mahalanobis_sq, threshold))
+    dim = len(measurement.covariance)
+    return SensorInnovation(
+        mahalanobis_sq,
+        bounded_weight(mahalanobis_sq, large_residual_threshold(dim)),
+        is_gated=_is_beyond_gate(mahalanobis_sq, dim),
+    )
 
 
 def motion_innovations(
@@ -652,5 +663,7 @@ def motion_innovations(
         rig_error = jacobian @ common_mode
         innovation_cov = R + spread + rig_error @ rig_error.T
         mahalanobis_sq = float(squared_mahalanobis(innovation, innovation_cov))
-        found[-1] = SensorInnovation(mahalanobis_sq, weight)
+        found[-1] = SensorInnovation(
+            mahalanobis_sq, weight, is_gated=_is_beyond_gate(mahalanobis_sq, len(R))
+        )
     return found

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.geometry import so3
-from probevo.measurements.arguments import as_array
+from probevo.measurements.arguments import as_array, as_number
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 from probevo.measurements.variables import Values, Variable
 from probevo.measurements.vector_measurement import VectorMeasurement
@@ -83,10 +83,14 @@ class Direction(VectorMeasurement):
             north: as in the constructor.
 
         Raises:
-            InputError: the direction is straight up or down, where an azimuth has no meaning, or
-                the zenith angle is not from 0 to π.
+            InputError: the direction is straight up or down, where an azimuth has no meaning, the
+                zenith angle is not from 0 to π, or an argument holds something else than numbers.
         """
-        azimuth, zenith = angles_rad
+        if np.shape(angles_rad) != (2,):
+            what = f"is {brief(angles_rad)}."
+            raise InputError("Direction: angles_rad", what, "Give azimuth and zenith angle.")
+        azimuth, zenith = (as_number(angle, "Direction: angles_rad") for angle in angles_rad)
+        covariance = as_array(covariance, (2, 2), "Direction: covariance")
         if math.isnan(azimuth) or math.isnan(zenith):
             return Direction(pose, np.full(3, math.nan), known, covariance, north=north)
         sine = math.sin(zenith) if 0.0 <= zenith <= math.pi else math.nan
@@ -99,7 +103,7 @@ class Direction(VectorMeasurement):
             pose,
             of_azimuth_and_zenith(azimuth, zenith),
             known,
-            shrunk @ np.asarray(covariance, np.float64) @ shrunk,
+            shrunk @ covariance @ shrunk,
             north=north,
         )
 

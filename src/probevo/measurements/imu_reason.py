@@ -16,6 +16,8 @@ class ImuFault(Enum):
     """The interval between the frames has no length."""
     NO_ACCELEROMETER = "no_accelerometer"
     """Only the gyro has samples."""
+    OUTSIDE_INTERVAL = "outside_interval"
+    """All are before the interval, or all behind it."""
     NO_USABLE_SAMPLE = "no_usable_sample"
     """None has a finite, plausible rate and force."""
     SINGLE_SAMPLE = "single_sample"
@@ -60,6 +62,7 @@ _OF_SAMPLES = frozenset(
         ImuFault.NO_SAMPLES,
         ImuFault.EMPTY_INTERVAL,
         ImuFault.NO_ACCELEROMETER,
+        ImuFault.OUTSIDE_INTERVAL,
         ImuFault.NO_USABLE_SAMPLE,
         ImuFault.SINGLE_SAMPLE,
         ImuFault.FEW_SAMPLES,

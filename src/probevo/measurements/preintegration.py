@@ -159,6 +159,12 @@ def preintegrate(
 
 def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReason | None:
     """Return why samples with these stamps do not cover an interval; None if they do."""
+    if len(stamps_ns) and (stamps_ns[-1] < start_ns or stamps_ns[0] > end_ns):
+        where = f"end {1e-9 * (start_ns - int(stamps_ns[-1])):.3g} s before the previous frame"
+        if stamps_ns[0] > end_ns:
+            where = f"begin {1e-9 * (int(stamps_ns[0]) - end_ns):.3g} s after the current frame"
+        text = f"has samples that {where} (are its stamps ns, on the clock of the images?)"
+        return ImuReason(ImuFault.OUTSIDE_INTERVAL, text)
     # From the last sample at or before the start to the first one at or after the end.
     first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
     covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.north import WORLD_STATES
@@ -124,6 +124,10 @@ def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame:
     """
     curr = pose_of(frame.index)
     variables = measurement.variables
+    for variable in variables:
+        if not isinstance(variable, Variable):
+            what = f"at frame {frame.index} it measured {brief(variable)}, which is no pose."
+            raise InputError(where, what, "Give the current frame's: pose_of(frame.index).")
     poses = {variable for variable in variables if variable.kind == curr.kind}
     if curr not in poses or not poses <= {curr, pose_of(prev_frame.index)}:
         frames = ", ".join(str(pose.frame) for pose in sorted(poses)) or "none"

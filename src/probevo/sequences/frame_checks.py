@@ -10,8 +10,17 @@ from probevo.errors import InputError, brief
 from probevo.sequences.frame import WHITE, Frame, ImuSamples, StereoFeatures, size_text
 from probevo.sequences.text import INT64_LIMIT
 
-MIN_STEP_NS = 1_000
-"""Shortest plausible time between two frames. Closer stamps must be in another unit."""
+MIN_STEP_NS = 500_000
+"""Shortest plausible time between two frames: no stereo camera takes 2,000 pairs a second. Closer
+stamps must be in another unit."""
+MIN_STEP_OF_UNIX_NS = 1_000
+"""The same of stamps from ``UNIX_NS`` on, whose unit is not in question: drivers that stamp images
+as these arrive may give two at nearly one time."""
+UNIX_NS = 10**18
+"""A time of 2001 in ns since 1970; in any larger unit, it is 30,000 years ahead."""
+MIN_MICROSECONDS = 1_000
+"""Shortest plausible step of stamps in microseconds: that of a thousand pairs a second. Smaller
+numbers are milliseconds or longer units."""
 
 
 def check_frame(frame: Frame, camera: StereoCamera) -> None:
@@ -163,10 +172,16 @@ def check_order(prev: Frame, curr: Frame) -> None:
             "Give the frames in the order of their times. If the camera's stamps have jumped, start"
             " a new odometry from this frame."
         )
+        if curr.stamp_ns == prev.stamp_ns:
+            cure += " Stamps are nanoseconds, not seconds."
         raise InputError(where, what, cure)
-    if curr.stamp_ns - prev.stamp_ns < MIN_STEP_NS:
-        what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
-        raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
+    step_ns = curr.stamp_ns - prev.stamp_ns
+    if step_ns < (MIN_STEP_NS if prev.stamp_ns < UNIX_NS else MIN_STEP_OF_UNIX_NS):
+        what = f"its stamp, {curr.stamp_ns} ns, is {step_ns} ns after that of the frame before."
+        unit = "milliseconds? Multiply them by 1,000,000"
+        if step_ns >= MIN_MICROSECONDS:
+            unit = "microseconds? Multiply them by 1,000"
+        raise InputError(where, what, f"Stamps are nanoseconds. Are these {unit}.")
     if curr.index <= prev.index:
         what = f"its index, {curr.index}, is not after that of the frame before, {prev.index}."
         raise InputError(where, what, "Count the frames: a window tells them by their index.")

@@ -9,6 +9,7 @@ from enum import Enum
 class Defect(Enum):
     """Why a part of a frame was not used. The value names its count in ``metrics.json``."""
 
+    STAMP_REPEATED = "imu_samples_with_the_stamp_of_the_sample_before"
     RATE_NOT_FINITE = "imu_samples_without_a_finite_angular_rate"
     RATE_TOO_LARGE = "imu_samples_with_an_implausible_angular_rate"
     RATE_IS_SPIKE = "imu_samples_whose_angular_rate_is_a_spike"

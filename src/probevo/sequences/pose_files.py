@@ -121,17 +121,21 @@ def write_tum(path: str | Path, stamps_ns: IntArray, T_world_cam: FloatArray) ->
     """Write a TUM trajectory.
 
     A line is ``stamp tx ty tz qx qy qz qw``: the stamp in s with nine decimals, the position in m,
-    and the unit quaternion with qw ≥ 0.
+    and the unit quaternion with qw ≥ 0. Unknown poses, of NaN, have no line.
 
     Args:
         path: the file.
-        stamps_ns: [N], ns.
+        stamps_ns: [N], ns, ascending.
         T_world_cam: poses, [N, 4, 4], m.
 
     Raises:
-        InputError: the poses or the stamps have another shape, or the file cannot be written.
+        InputError: the poses or the stamps have another shape, a pose is partly not finite or holds
+            no rotation, stamps do not ascend, or the file cannot be written.
     """
     T_world_cam, stamps_ns = _checked_path(T_world_cam, stamps_ns)
+    is_known = np.isfinite(T_world_cam[:, 0, 3])
+    T_world_cam = T_world_cam[is_known]
+    stamps_ns = stamps_ns[is_known]
     quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat(canonical=True)
     numbers = np.concatenate([T_world_cam[:, :3, 3], quaternions], axis=1)
     stamps = [f"{Decimal(ns).scaleb(-9):.9f}" for ns in stamps_ns.tolist()]
@@ -142,10 +146,11 @@ def write_tum(path: str | Path, stamps_ns: IntArray, T_world_cam: FloatArray) ->
 def write_kitti_poses(path: str | Path, T_world_cam: FloatArray) -> None:
     """Write poses T_world_cam, [N, 4, 4], m, in KITTI's odometry form.
 
-    A line holds the upper three rows of one pose, row by row: twelve numbers.
+    A line holds the upper three rows of one pose, row by row: twelve numbers, NaN where unknown.
 
     Raises:
-        InputError: the poses have another shape, or the file cannot be written.
+        InputError: the poses have another shape, a pose is partly not finite or holds no rotation,
+            or the file cannot be written.
     """
     T_world_cam, _ = _checked_path(T_world_cam)
     rows = T_world_cam[:, :3, :].reshape(-1, 12)
@@ -155,21 +160,28 @@ def write_kitti_poses(path: str | Path, T_world_cam: FloatArray) -> None:
 def _checked_path(
     T_world_cam: FloatArray, stamps_ns: IntArray | None = None
 ) -> tuple[FloatArray, IntArray]:
-    """Return poses [N, 4, 4] and their stamps [N] as arrays; without stamps, those are zeros.
+    """Return poses [N, 4, 4] and their stamps [N] as arrays; without stamps, those are counted.
 
     Raises:
-        InputError: they have another shape.
+        InputError: they have another shape, a pose is partly not finite or holds no rotation, or
+            stamps do not ascend.
     """
     poses = np.asarray(T_world_cam, np.float64)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4):
         raise InputError("T_world_cam", f"its shape is {poses.shape}, where [N, 4, 4] is expected.")
-    stamps = np.zeros(len(poses), np.int64) if stamps_ns is None else np.asarray(stamps_ns)
+    check_poses(poses, "T_world_cam")
+    stamps = np.arange(len(poses)) if stamps_ns is None else np.asarray(stamps_ns)
     if stamps.shape != (len(poses),) or stamps.dtype.kind != "i":
         raise InputError(
             "stamps_ns",
             f"its shape is {stamps.shape} and its type {stamps.dtype}, for {len(poses)} poses.",
             "Give a whole number of ns for each pose.",
         )
+    backwards = np.flatnonzero(stamps[1:] <= stamps[:-1])
+    if len(backwards):
+        index = int(backwards[0]) + 1
+        what = f"stamp {index} (from 0), {stamps[index]} ns, is not after the one before."
+        raise InputError("stamps_ns", what, "Give the poses in the order of their times.")
     return poses, stamps
 
 

@@ -31,8 +31,9 @@ def validated(
     """Check a frame, and leave out its unusable features and IMU samples.
 
     Features and angular rates that are not finite or implausibly large are left out, and so are
-    spikes of the angular rate. Whether the remaining samples still cover the interval is checked
-    when the gyro is integrated. A sample with an unusable specific force keeps its angular rate.
+    spikes of the angular rate, and IMU samples that repeat the stamp of the one before. Whether the
+    remaining samples still cover the interval is checked when the gyro is integrated. A sample with
+    an unusable specific force keeps its angular rate.
 
     Args:
         frame: the frame as given.
@@ -50,6 +51,11 @@ def validated(
     missing: list[MissingData] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
+        is_repeated = _repeats_stamp(imu)
+        if is_repeated.any():
+            count = int(is_repeated.sum())
+            missing.append(MissingData(Defect.STAMP_REPEATED, count, len(is_repeated)))
+            imu = _kept(imu, ~is_repeated)
         has_gyro = are_within(imu.gyro_rad_s, MAX_RATE_RAD_S)
         if not has_gyro.all():
             missing += _left_out(
@@ -128,9 +134,10 @@ def spike_stamps(stream: ImuStream, frames_ns: IntArray) -> IntArray:
 
 
 def with_plain_arrays(frame: Frame) -> Frame:
-    """Return the frame with features and IMU samples of the types that the odometry computes with.
+    """Return the frame with numbers of the types that the odometry computes with.
 
-    These are float64 for pixels, rates and forces, and int64 for identities and stamps.
+    These are float64 for pixels, rates and forces, and int64 for identities and stamps; index and
+    stamp of the frame are ints, whose differences do not overflow.
 
     Raises:
         InputError: it is no frame; features or IMU samples are of another class; an array holds
@@ -140,6 +147,10 @@ def with_plain_arrays(frame: Frame) -> Frame:
     if not isinstance(frame, Frame):
         cure = "Give a Frame, such as Frame(index, stamp_ns, left, right)."
         raise InputError("frame", f"is a {type(frame).__name__}.", cure)
+    if isinstance(frame.index, np.integer):
+        frame = replace(frame, index=int(frame.index))
+    if isinstance(frame.stamp_ns, np.integer):
+        frame = replace(frame, stamp_ns=int(frame.stamp_ns))
     where = f"frame {frame.index}"
     features = frame.features
     if features is not None:
@@ -182,8 +193,9 @@ def usable_imu(frame: Frame) -> ImuSamples | None:
         imu = with_plain_arrays(replace(frame, features=None)).imu
     except InputError:
         return None
-    if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
+    if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) >= 0).all():
         return None
+    imu = _kept(imu, ~_repeats_stamp(imu))
     return _kept(imu, are_within(imu.gyro_rad_s, MAX_RATE_RAD_S))
 
 
@@ -267,6 +279,13 @@ def _kept_of_stream(stream: ImuStream, rows: BoolArray) -> ImuStream:
         gyro_rad_s=stream.gyro_rad_s[rows],
         accel_m_s2=stream.accel_m_s2[rows],
     )
+
+
+def _repeats_stamp(imu: ImuSamples) -> BoolArray:
+    """Return which samples, [N], have the stamp of the one before, as where a driver gives one
+    twice."""
+    is_repeated: BoolArray = np.append(False, np.diff(imu.stamps_ns) == 0)[: len(imu.stamps_ns)]
+    return is_repeated
 
 
 def _has_rows(imu: ImuSamples) -> bool:

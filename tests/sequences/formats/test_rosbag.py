@@ -184,6 +184,69 @@ def test_headers_without_stamps_are_refused(tmp_path: Path) -> None:
         open_sequence(path)
 
 
+# --- regions and binning --------------------------------------------------------------------------
+
+
+def cropped_messages(
+    left_pixels: list[Image], right_pixels: list[Image], changes: dict[str, Any]
+) -> list[Message]:
+    """A pair of cameras that send a part of what was calibrated."""
+    messages = []
+    for topic, info, pixels, right in (
+        (LEFT, LEFT_INFO, left_pixels, False),
+        (RIGHT, RIGHT_INFO, right_pixels, True),
+    ):
+        fields = {**camera_info(CAMERA, right=right), **changes}
+        messages.append(info_message(info, START_NS, fields))
+        for index, each in enumerate(pixels):
+            stamp_ns = START_NS + index * FRAME_NS
+            messages.append(images_message(topic, stamp_ns, raw_image(each)))
+    return messages
+
+
+ROI = {"x_offset": 8, "y_offset": 4, "width": 48, "height": 40}
+
+
+@pytest.mark.parametrize(
+    ("changes", "rows", "expected"),
+    [
+        ({"roi": ROI}, np.s_[4:44, 8:56], {"cu_px": CU_PX - 8.0, "cv_px": CV_PX - 4.0}),
+        (
+            {"binning_x": 2, "binning_y": 2},
+            np.s_[::2, ::2],
+            {
+                "fu_px": 0.5 * FU_PX,
+                "fv_px": 0.5 * FU_PX,
+                "cu_px": 0.5 * (CU_PX + 0.5) - 0.5,
+                "cv_px": 0.5 * (CV_PX + 0.5) - 0.5,
+            },
+        ),
+        (
+            {"roi": ROI, "binning_x": 2, "binning_y": 2},
+            np.s_[4:44:2, 8:56:2],
+            {
+                "fu_px": 0.5 * FU_PX,
+                "fv_px": 0.5 * FU_PX,
+                "cu_px": 0.5 * (CU_PX - 7.5) - 0.5,
+                "cv_px": 0.5 * (CV_PX - 3.5) - 0.5,
+            },
+        ),
+        ({"binning_x": 2, "binning_y": 2}, np.s_[:, :], {}),
+    ],
+    ids=["region", "binning", "both", "of whole images"],
+)
+def test_a_camera_that_sends_a_part_of_what_was_calibrated(
+    changes: dict[str, Any], rows: Any, expected: dict[str, float], tmp_path: Path
+) -> None:
+    """Its CameraInfo is that of the whole images."""
+    left = [np.ascontiguousarray(image(index)[rows]) for index in range(3)]
+    right = [np.ascontiguousarray(image(index, right=True)[rows]) for index in range(3)]
+    path = write_messages(tmp_path / "recorded", "mcap", cropped_messages(left, right, changes))
+    bag = open_sequence(path)
+    assert bag.camera == replace(CAMERA, size_px=left[0].shape[::-1], **expected)
+    np.testing.assert_array_equal(next(iter(bag)).left, left[0])
+
+
 # --- encodings -----------------------------------------------------------------------------------
 
 PIXELS = np.random.default_rng(3).integers(0, 256, (6, 8), dtype=np.uint8)

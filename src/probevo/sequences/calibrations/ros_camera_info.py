@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,18 @@ DISTORTION_MODELS: dict[str, DistortionModel] = {
 """Names of distortion models in ROS; drivers of rectified cameras leave it empty."""
 
 
+class _Roi(NamedTuple):
+    """The part of the calibrated images that is sent, px; of no size where it is all."""
+
+    x_offset: int
+    y_offset: int
+    width: int
+    height: int
+
+
+_NO_ROI = _Roi(0, 0, 0, 0)
+
+
 class CameraInfo:
     """The fields of a sensor_msgs/CameraInfo; ROS 1 names them K, D, R, P, ROS 2 k, d, r, p."""
 
@@ -39,6 +51,12 @@ class CameraInfo:
         self.R: FloatArray = _field(message, "R").reshape(3, 3)
         self.P: FloatArray = _field(message, "P").reshape(3, 4)
         self.model: str = message.distortion_model
+        roi = getattr(message, "roi", None)
+        self.roi = _NO_ROI if roi is None else _roi(roi)
+        # 0 is the same as 1: every pixel.
+        binning_x = max(int(getattr(message, "binning_x", 1)), 1)
+        binning_y = max(int(getattr(message, "binning_y", 1)), 1)
+        self.binning = (binning_x, binning_y)
         if not self.R.any():  # what drivers send that do not know it
             self.R = np.eye(3)
 
@@ -47,6 +65,32 @@ class CameraInfo:
         """Whether the raw images of this camera are rectified already."""
         is_same = np.allclose(self.K, self.P[:, :3], rtol=0.0, atol=1e-6)
         return not self.D.any() and np.allclose(self.R, np.eye(3), atol=1e-9) and is_same
+
+    def as_sent(self, size_px: SizePx) -> CameraInfo:
+        """Return the calibration of images of which only a region is sent, or only the means of
+        some pixels (``roi``, ``binning_x``, ``binning_y``).
+
+        Args:
+            size_px: (width, height) of the images; those of the size that was calibrated are whole,
+                whatever the message says.
+        """
+        is_whole = self.roi.width == 0 or self.roi.height == 0
+        roi = _Roi(0, 0, *self.size_px) if is_whole else self.roi
+        sent_px = (roi.width // self.binning[0], roi.height // self.binning[1])
+        if sent_px == self.size_px or size_px == self.size_px:
+            return self
+        factors = np.array([[1.0 / self.binning[0]], [1.0 / self.binning[1]], [1.0]])
+        sent = copy(self)
+        sent.size_px = sent_px
+        sent.roi = _NO_ROI
+        sent.binning = (1, 1)
+        sent.K = factors * self.K
+        sent.P = factors * self.P  # the baseline of P is in pixels, too
+        for matrix, whole in ((sent.K, self.K), (sent.P, self.P)):
+            # Pixel (0, 0) has its centre at the origin: the corner of the region lies at −½.
+            corner_px = np.array([roi.x_offset, roi.y_offset]) - 0.5
+            matrix[:2, 2] = (whole[:2, 2] - corner_px) / self.binning - 0.5
+        return sent
 
     def resized(self, size_px: SizePx) -> CameraInfo:
         """Return the calibration for images that were scaled to another size.
@@ -128,6 +172,16 @@ def rectification_of(left: CameraInfo, right: CameraInfo) -> Rectification:
         C_rect_left=left.R,
         C_rect_right=right.R,
         where=left.where,
+    )
+
+
+def _roi(message: Any) -> _Roi:
+    """Return the fields of a sensor_msgs/RegionOfInterest."""
+    return _Roi(
+        x_offset=int(message.x_offset),
+        y_offset=int(message.y_offset),
+        width=int(message.width),
+        height=int(message.height),
     )
 
 

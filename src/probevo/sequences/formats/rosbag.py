@@ -333,6 +333,8 @@ def _calibration(
     else:
         left_info = _info(path, content, topics.left, topics.left_info)
         right_info = _info(path, content, topics.right, topics.right_info)
+        left_info = left_info.as_sent(size_px)
+        right_info = right_info.as_sent(size_px)
         if options.resized:
             left_info = left_info.resized(size_px)
             right_info = right_info.resized(size_px)
@@ -351,7 +353,7 @@ def _calibration(
         )
         cure = (
             "Give the calibration of these images with --calibration FILE, or --resized if they"
-            " were scaled since they were calibrated."
+            " were scaled, and not cropped, since they were calibrated."
         )
         raise InputError(f"{path}: {topics.left}", what, cure)
     return _Calibration(
