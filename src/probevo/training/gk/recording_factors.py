@@ -9,6 +9,7 @@ learns the factor of a new one while it runs (``estimation.noise_scale``).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.noise.student_t import StudentT
 from probevo.noise.student_t_arrays import DIM
+from probevo.noise.student_t_numba import MIN_SIGMA_PX
 from probevo.training.gk.error_samples import ErrorSamples
 
 ROUNDS = 4
@@ -44,6 +46,10 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
     if len(factors) == 1:
         model.fit(samples.phi, samples.errors, error_cov=samples.error_cov)
         return factors
+    # The fit has a floor in units of the factor. This one is in pixels: without it, errors that are
+    # all zero would have a factor that falls without end.
+    floor = MIN_SIGMA_PX**2 * np.eye(DIM)
+    samples = replace(samples, error_cov=samples.error_cov + floor)
     counts = np.bincount(samples.drives, minlength=len(factors))
     for _ in range(ROUNDS):
         feature_factors = factors[samples.drives]
@@ -60,7 +66,7 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
 def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray) -> FloatArray:
     """Return the factor of each recording under which its errors are likeliest, [D].
 
-    A recording without any error keeps the one it has.
+    A recording without any feature keeps the one it has.
     """
     inverse = np.linalg.inv(model.scale_)
     # eᵀ Σ⁻¹ e, and its expectation over what is uncertain of e
