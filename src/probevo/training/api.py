@@ -168,7 +168,12 @@ def _train(
     metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
     # Describe the recordings, for the model file.
     described = [
-        {"name": name_as_text(source.path), "frames": source.num_frames, "sha256": fact.digest}
+        {
+            "name": name_as_text(source.path),
+            "frames": source.num_frames,
+            "sha256": fact.digest,
+            "view": source.view,
+        }
         for source, fact in zip(sources, facts, strict=True)
     ]
     # Where there are more steps than a training without truth can use, take a share of them.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.noise import StudentT
@@ -20,6 +20,7 @@ from probevo.noise.metric import check_defined
 from probevo.odometry import StereoOdometry
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence, first_frames
+from probevo.sequences.content import hash_frame
 from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import LeftRightCheck
 from probevo.tracking.repeated_images import are_repeated
@@ -108,7 +109,7 @@ class Extraction:
         """Return the motion to this frame and whether it can be learned from; None for the first
         frame."""
         # The digest identifies the training data in the model's metadata.
-        _hash_frame(self._digest, frame)
+        hash_frame(self._digest, frame)
         motion = self._odometry.step(frame)
         odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
@@ -188,16 +189,3 @@ def _bytes(phi: FloatArray) -> int:
     # of 16 doubles with an index.
     count, columns = map(int, phi.shape)
     return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
-
-
-def _hash_frame(digest: hashlib._Hash, frame: Frame) -> None:
-    """Add all that the odometry is given with a frame to the digest."""
-    digest.update(np.int64(frame.stamp_ns).tobytes())
-    arrays: list[AnyArray | None] = [frame.left, frame.right]
-    if frame.features is not None:
-        arrays += [frame.features.ids, frame.features.pixels]
-    if frame.imu is not None:
-        arrays += [frame.imu.stamps_ns, frame.imu.gyro_rad_s, frame.imu.accel_m_s2]
-    for array in arrays:
-        if array is not None:
-            digest.update(np.ascontiguousarray(array).tobytes())

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray, concatenated
+from probevo.arrays import BoolArray, FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -89,7 +89,7 @@ class ErrorSamples:
         """
         numbers, drives = np.unique(self.drives, return_inverse=True)
         squared = [np.median(self.errors[drives == k] ** 2, axis=0) for k in range(len(numbers))]
-        is_noisy = (np.array(squared) >= MIN_SIGMA_PX**2).all(axis=1)
+        is_noisy: BoolArray = np.all(np.array(squared) >= MIN_SIGMA_PX**2, axis=1)
         if is_noisy.all() or not is_noisy.any():
             return self
         kept = np.flatnonzero(is_noisy[drives])
