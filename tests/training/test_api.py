@@ -442,6 +442,21 @@ def test_with_fewer_neighbours_it_goes_on_where_it_was(
     assert [each.num_asked - 2 * FIRST_FRAMES for each in counted] == [FRAMES, FRAMES]
 
 
+def test_two_frames_are_too_few_for_the_predictors_by_default(
+    recordings: list[Sequence], out: Path
+) -> None:
+    """Whoever has named none cannot leave one out."""
+    settings = TrainSettings(kind="gk", max_frames=2)
+    refuse(recordings, out, settings, "predictor last_residual", "Give a longer recording")
+    refuse(
+        recordings,
+        out.with_name("named.safetensors"),
+        settings.model_copy(update={"predictors": ("place", "last_residual")}),
+        "predictor last_residual",
+        "Leave it out.",
+    )
+
+
 def test_steps_with_too_few_features_leave_nothing_to_learn_from(
     recordings: list[Sequence], out: Path
 ) -> None:

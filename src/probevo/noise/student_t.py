@@ -7,7 +7,6 @@ logarithm of an outlier, not with its square.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from numbers import Real
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -77,9 +76,7 @@ class StudentT:
         scale_is_relative: bool | None = None,
     ) -> None:
         check_refers_to(refers_to)
-        if not isinstance(dof, Real) or not dof > 0.0:
-            cure = "Give a positive number, or inf."
-            raise InputError("noise model", f"its dof is {brief(dof)}.", cure)
+        _check_dof(dof)
         if scale is not None:
             check_positive_definite(scale, "scale", 4)
         self.dof = dof
@@ -189,6 +186,17 @@ class StudentT:
             jitter_cov=jitter_cov_of(file),
             scale_is_relative=facts.scale_is_relative,
         )
+
+
+def _check_dof(dof: object) -> None:
+    """Refuse degrees of freedom that are not positive.
+
+    Raises:
+        InputError: says what they are.
+    """
+    if not isinstance(dof, int | float | np.number) or not dof > 0.0:  # NaN fails, too
+        cure = "Give a positive number, or inf."
+        raise InputError("noise model", f"its dof is {brief(dof)}.", cure)
 
 
 class _Facts(OriginFacts):

@@ -165,7 +165,14 @@ def _train(
 
     # Standardise the prediction space over the features of all drives.
     moments = reduce(add, (fact.moments for fact in facts))
-    metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
+    try:
+        metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
+    except InputError as error:
+        if settings.predictors is not None:
+            raise
+        # Such as the last residual of two frames: whoever named no predictor can leave out none.
+        cure = "Give a longer recording, or name other predictors with --predictors."
+        raise InputError(error.where, error.what, cure) from error
     # Describe the recordings, for the model file.
     described = [
         {
