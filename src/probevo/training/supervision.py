@@ -188,8 +188,8 @@ def _loop(sequence: Sequence, poses: FloatArray, is_known: BoolArray) -> Supervi
         is_known: which of them are known, [num_frames].
 
     Raises:
-        InputError: the end of the loop is not known, and the last frames are not used, or what is
-            known of the truth is no loop.
+        InputError: the end of the loop is not known, and the last frames are not used; or the
+            truth, as far as it is known, is no loop.
     """
     num_frames = len(poses)
     known = np.flatnonzero(is_known)

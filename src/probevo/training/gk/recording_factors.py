@@ -9,7 +9,6 @@ learns the factor of a new one while it runs (``estimation.noise_scale``).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,10 +45,6 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
     if len(factors) == 1:
         model.fit(samples.phi, samples.errors, error_cov=samples.error_cov)
         return factors
-    # The fit has a floor in units of the factor. This one is in pixels: without it, errors that are
-    # all zero would have a factor that falls without end.
-    floor = MIN_SIGMA_PX**2 * np.eye(DIM)
-    samples = replace(samples, error_cov=samples.error_cov + floor)
     counts = np.bincount(samples.drives, minlength=len(factors))
     for _ in range(ROUNDS):
         feature_factors = factors[samples.drives]
@@ -69,6 +64,9 @@ def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArr
     A recording without any feature keeps the one it has.
     """
     inverse = np.linalg.inv(model.scale_)
+    # Errors that are all zero count as those of the smallest σ, in pixels: the factor would fall
+    # without end.
+    least = MIN_SIGMA_PX**2 * float(np.trace(inverse)) / DIM
     # eᵀ Σ⁻¹ e, and its expectation over what is uncertain of e
     squared = np.einsum("ni,ij,nj->n", samples.errors, inverse, samples.errors)
     squared += np.einsum("ij,nji->n", inverse, samples.error_cov)
@@ -79,6 +77,6 @@ def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArr
         # Weighted mean of the squares, with the weights of a Student-t (PX-EM)
         for _ in range(SCALE_ITERATIONS):
             weights = (model.dof_ + DIM) / (model.dof_ + drive_squared / factor)
-            factor = np.average(drive_squared, weights=weights) / DIM
+            factor = max(np.average(drive_squared, weights=weights) / DIM, least)
         likeliest[drive] = factor
     return likeliest
