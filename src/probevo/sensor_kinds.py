@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the help of a command should not wait for SciPy
     from probevo.measurements.correction import MotionCorrection
     from probevo.measurements.sensor import Sensor
     from probevo.sequences.base import Sequence
+    from probevo.sequences.content import SeenRecording
 
 _MARK = b'"probevo-network"'
 _LONGEST_HEADER = 1_000_000
@@ -137,23 +138,28 @@ def kind_of_file(path: Path) -> SensorKind:
     return SENSOR_KINDS[name]
 
 
-def recordings_of_file(path: Path) -> frozenset[str]:
-    """Return the names of the recordings that the training of a sensor has seen.
+def recordings_of_file(path: Path) -> tuple[SeenRecording, ...]:
+    """Return the recordings that the training of a sensor has seen.
 
     Those left out count, too: they stopped the training and calibrated the sensor.
 
     Raises:
         InputError: it cannot be read, names no recordings, or the extra ``nets`` is not installed.
     """
+    from probevo.sequences.content import SeenRecording
+
     resolve(_REQUIRE)("--sensor")
     facts = resolve(_READ_FACTS)(path)
-    names: set[str] = set()
+    names: list[str] = []
     for key in ("learned_from", "left_out"):
         named = facts.get(key, [])
         if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
             raise InputError(f"{path}: {key}", "it is no list of names.", "Train it again.")
-        names.update(named)
-    return frozenset(names)
+        names += named
+    views = facts.get("views", [None] * len(names))  # older files lack them
+    if not isinstance(views, list) or len(views) != len(names):
+        raise InputError(f"{path}: views", "it is no list of a digest a name.", "Train it again.")
+    return tuple(map(SeenRecording, names, views))
 
 
 def trainer_of_sensor(kind: SensorKind) -> Callable[..., Any]:

@@ -183,7 +183,7 @@ def test_train_run_and_compare_with_the_sensor(
     shown = capsys.readouterr().out
     assert f"Measurements: {PAIRS}" in shown
     assert "Kept: the network after " in shown
-    assert "Learned: from a recording of this name" in shown
+    assert "Learned: from this recording" in shown
     assert main(["inspect", "--model", str(out), "--out", str(seen)]) == 2
     assert "a sensor is inspected on a recording" in capsys.readouterr().err
 

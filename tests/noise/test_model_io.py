@@ -12,7 +12,8 @@ from safetensors.numpy import load, save
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.errors import InputError
-from probevo.noise import Fixed, StudentT
+from probevo.noise import Fixed, GeneralizedKernel, StudentT
+from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import FORMAT, ModelFile, write_model_file
 from probevo.noise.model_io import load_model, save_model
@@ -202,3 +203,35 @@ def test_an_exponent_that_is_no_number_is_refused(path: Path, text: str) -> None
     )
     with pytest.raises(InputError, match="damaged"):
         load_model(path)
+
+
+def changed_after_fit(**values: object) -> NearestNeighbors:
+    model = trained()
+    for name, value in values.items():
+        setattr(model, name, value)
+    return model
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: changed_after_fit(average="harmonic"),
+        lambda: changed_after_fit(exponent=-3.0),
+        lambda: changed_after_fit(exponent=np.nan),
+        NearestNeighbors,
+        GeneralizedKernel,
+    ],
+    ids=["average", "negative", "NaN", "unfitted knn", "unfitted gk"],
+)
+def test_a_model_that_could_not_be_read_back_is_not_written(
+    make: Callable[[], LearnedNoiseModel], path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"^model: (it is not a complete|is a .* not fitted)"):
+        save_model(make(), path)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("options", [{"average": "harmonic"}, {"exponent": -3.0}])
+def test_what_no_model_can_have_is_not_fitted(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="known averages are"):
+        trained(**options)

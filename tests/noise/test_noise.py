@@ -1,14 +1,18 @@
 """The classical noise models, and the likelihood of residuals under the noise that they predict."""
 
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
 from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
-from probevo.noise.base import RefersTo
+from probevo.noise.base import RefersTo, predicted_noise
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
 from probevo.noise.student_t import DOF, SIGMA_PX
 
@@ -199,3 +203,61 @@ def test_predicting_leaves_the_model_as_it_was() -> None:
     again = model.predict(np.zeros((3, 0)))
     np.testing.assert_array_equal(first.scale, again.scale)
     np.testing.assert_array_equal(first.dof, again.dof)
+
+
+INDEFINITE = np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: StudentT(refers_to="residuals"), "refers_to is 'residuals'"),  # type: ignore[arg-type]
+        (lambda: StudentT(dof=-1.0), "its dof is -1"),
+        (lambda: StudentT(dof=np.nan), "its dof is nan"),
+        (lambda: StudentT(dof="5"), "its dof is '5'"),  # type: ignore[arg-type]
+        (lambda: StudentT(scale=np.full((4, 4), np.nan)), "its scale is"),
+        (lambda: StudentT(scale=INDEFINITE), "its scale is"),
+        (lambda: StudentT(scale=np.eye(3)), "its scale is"),
+        (lambda: Fixed(-np.eye(4)), "its covariance is"),
+        (lambda: Fixed(np.triu(np.ones((4, 4))) + np.eye(4)), "its covariance is"),
+    ],
+)
+def test_values_of_no_distribution_are_refused(make: Callable[[], NoiseModel], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        make()
+
+
+@dataclass(frozen=True)
+class Own:
+    """A noise model of one's own, with some fields of its noise replaced."""
+
+    changes: dict[str, Any]
+    columns: tuple[str, ...] = ()
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        return replace(StudentT().predict(predictors), **self.changes)
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """Accept any."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, ""),
+        ({"refers_to": "observations"}, "refers_to is 'observations'"),
+        ({"dof": np.array([3.0, 0.0])}, "a dof that is not positive"),
+        ({"dof": np.array([3.0, np.nan])}, "a dof that is not positive"),
+        ({"bias": np.full((2, 4), np.inf)}, "a bias that is not finite"),
+        ({"scale": np.full((2, 4, 4), np.nan)}, "a scale that is not finite"),
+        ({"scale": np.stack([np.eye(4), INDEFINITE])}, "a negative variance"),
+    ],
+)
+def test_a_prediction_of_no_distribution_is_refused(changes: dict[str, Any], said: str) -> None:
+    """Of ``refers_to``, one module took a typing error for a residual and the next for none."""
+    model = Own(changes)
+    if not said:
+        assert len(predicted_noise(model, np.zeros((2, 0))).dof) == 2
+        return
+    with pytest.raises(InputError, match=said):
+        predicted_noise(model, np.zeros((2, 0)))

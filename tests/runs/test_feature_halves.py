@@ -1,7 +1,7 @@
 """Two halves of the features: that they are halves, and what is said where claims are wrong."""
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -10,16 +10,20 @@ import pytest
 
 import probevo as pv
 from cli.rendering import write_wall
+from probevo.arrays import FloatArray
 from probevo.cli.covariance_check import verdict
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.runs.feature_halves import SPAN, Agreement, checkerboard, compare_halves, halves_of
 from probevo.sequences.frame import Frame
+from probevo.sequences.without_imu import WithoutImu
 from worlds import CAMERA, drive
 
 
 class Drive:
     """A recording of features with an error of so many pixels."""
+
+    imu = None
 
     def __init__(self, sigma_px: float, frames: int = 60) -> None:
         self.path = Path("drive")
@@ -105,6 +109,43 @@ def test_no_feature_is_in_both_halves() -> None:
         assert not (one.left_mask & other.left_mask).any()
         usable = (one.left_mask | other.left_mask) > 0
         np.testing.assert_array_equal(usable, True if frame.left_mask is None else mask)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 64, -3])
+def test_identities_of_any_step_are_halved(factor: int) -> None:
+    """Even ones, for example, of a tracker that numbers left and right features in turn."""
+    frame = drive(np.random.default_rng(0), 1)[0]
+    assert frame.features is not None
+    ids = factor * np.arange(len(frame.features.ids))
+    one, _ = halves_of(replace(frame, features=replace(frame.features, ids=ids)))
+    assert one.features is not None
+    assert 0.4 < len(one.features.ids) / len(ids) < 0.6
+
+
+@dataclass(frozen=True)
+class OfAcceleration:
+    """Noise that refuses an undefined acceleration."""
+
+    columns: tuple[str, ...] = ("acceleration", "vibration")
+
+    def predict(self, predictors: FloatArray) -> pv.noise.StereoNoise:
+        assert np.isfinite(predictors).all()
+        return pv.noise.StudentT().predict(predictors)
+
+    def check_camera(self, camera: pv.StereoCamera) -> None:
+        """Accept any."""
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_predictors_see_the_imu_and_the_solve_does_not(estimator: str, data_root: Path) -> None:
+    """Without it, the noise was another one than any run's."""
+    sequence = pv.open_sequence(data_root / "euroc" / "MH_01_micro")
+    config = {"estimator": estimator}
+    one, *_ = compare_halves(sequence, OfAcceleration(), config, max_frames=17).agreements
+    other, *_ = compare_halves(sequence, pv.noise.StudentT(), config, max_frames=17).agreements
+    assert len(one.squared) == len(other.squared)
+    with pytest.raises(InputError, match="accelerometer"):
+        compare_halves(WithoutImu.of(sequence), OfAcceleration(), config)
 
 
 @pytest.mark.parametrize("shape", [(370, 1226), (480, 752), (8, 5)])

@@ -20,11 +20,12 @@ from probevo.noise import Fixed, NoiseModel
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
+from probevo.sequences.content import FIRST_FRAMES
 from probevo.sequences.frame import Frame
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import RecordingAt, checked_sources
 from probevo_sim.point_world import write_points
-from sequences.recordings import write_kitti_flow, write_tracks
+from sequences.recordings import image, write_image, write_kitti_flow, write_tracks
 from training.supervised_drives import point_world, rmse_m, true_motions
 
 FRAMES = 8
@@ -193,6 +194,10 @@ class Counted:
     def __getattr__(self, name: str) -> object:
         return getattr(self.inner, name)
 
+    @property
+    def num_asked(self) -> int:
+        return len(self.asked)
+
     def __len__(self) -> int:
         return len(self.inner)
 
@@ -206,17 +211,17 @@ def test_what_is_done_is_not_done_again(
     recordings: list[Sequence], model_bytes: bytes, out: Path
 ) -> None:
     """Stopped in the midst of the second recording, the first is not looked at again; after both,
-    neither is."""
+    neither is; but for the first frames, by which each is recognised."""
     counted = [Counted(recording, []) for recording in recordings]
     sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
         train(sequences, out, on_progress=stopping_after(FRAMES + 6))
-    assert [len(each.asked) for each in counted] == [FRAMES, 6]
+    assert [each.num_asked - FIRST_FRAMES for each in counted] == [FRAMES, 6]
     with pytest.raises(KeyboardInterrupt):
         train(sequences, out, on_progress=stopping_after(FRAMES + 3))
-    assert [len(each.asked) for each in counted] == [FRAMES, 6 + FRAMES]
+    assert [each.num_asked - 2 * FIRST_FRAMES for each in counted] == [FRAMES, 6 + FRAMES]
     assert train(sequences, out).read_bytes() == model_bytes
-    assert [len(each.asked) for each in counted] == [FRAMES, 6 + FRAMES]
+    assert [each.num_asked - 3 * FIRST_FRAMES for each in counted] == [FRAMES, 6 + FRAMES]
 
 
 @pytest.mark.parametrize("supervision", ["gt", "sparse", "position", "loop", "none"])
@@ -434,7 +439,22 @@ def test_with_fewer_neighbours_it_goes_on_where_it_was(
     refuse(sequences, out, SETTINGS.model_copy(update={"neighbors": 10_000}), "--neighbors")
     train(sequences, out, SETTINGS.model_copy(update={"neighbors": 10}))
     assert neighbors_of(out).neighbors == 10
-    assert [len(each.asked) for each in counted] == [FRAMES, FRAMES]
+    assert [each.num_asked - 2 * FIRST_FRAMES for each in counted] == [FRAMES, FRAMES]
+
+
+def test_two_frames_are_too_few_for_the_predictors_by_default(
+    recordings: list[Sequence], out: Path
+) -> None:
+    """Whoever has named none cannot leave one out."""
+    settings = TrainSettings(kind="gk", max_frames=2)
+    refuse(recordings, out, settings, "predictor last_residual", "Give a longer recording")
+    refuse(
+        recordings,
+        out.with_name("named.safetensors"),
+        settings.model_copy(update={"predictors": ("place", "last_residual")}),
+        "predictor last_residual",
+        "Leave it out.",
+    )
 
 
 def test_steps_with_too_few_features_leave_nothing_to_learn_from(
@@ -523,6 +543,31 @@ def test_a_calibration_corrected_before_it_goes_on_is_refused(
     )
 
 
+def test_features_that_are_others_than_before_are_refused(
+    tracks: list[Path], tmp_path: Path, out: Path
+) -> None:
+    """Of a recording under the same path; a copy is none."""
+    path = tmp_path / "drive.npz"
+    with pytest.raises(KeyboardInterrupt):
+        train(changed(tracks[0], path), out, on_progress=stopping_after(FRAMES + 2))
+    moved = changed(tracks[0], path, uv=lambda uv: uv + 0.25)
+    refuse(moved, out, SETTINGS, f"{out}.work: ", "other recordings, predictors or odometry")
+    train(changed(tracks[0], path), out)
+
+
+def test_a_copy_of_a_recording_is_refused(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+    """It would count double. One that begins alike is another recording."""
+    copy = changed(tracks[0], tmp_path / "copy.npz")
+    recording = pv.open_sequence(tracks[0])
+    refuse([recording, *copy], out, SETTINGS, f"copy.npz: its frames are those of {tracks[0]}.")
+
+    def differently_ended(uv: FloatArray) -> FloatArray:
+        return np.vstack([uv[:-1], uv[-1:] + 0.25])
+
+    other = changed(tracks[0], tmp_path / "other.npz", uv=differently_ended)
+    assert len(checked_sources([recording, *other], SETTINGS, prediction_space(()))) == 2
+
+
 def test_other_subsets_go_on_from_the_recordings(
     recordings: list[Sequence], model_bytes: bytes, out: Path
 ) -> None:
@@ -536,7 +581,7 @@ def test_other_subsets_go_on_from_the_recordings(
     )
     counted = [Counted(recording, []) for recording in recordings]
     assert train(list(counted), out).read_bytes() == model_bytes  # type: ignore[arg-type]
-    assert [each.asked for each in counted] == [[], []]
+    assert [each.num_asked for each in counted] == [FIRST_FRAMES, FIRST_FRAMES]
 
 
 def test_what_is_not_ours_survives_a_training_and_stops_the_next(
@@ -564,6 +609,7 @@ def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Pat
 def test_two_scenes_of_one_folder_are_two_recordings(tmp_path: Path) -> None:
     """But not one scene, named twice."""
     folder = write_kitti_flow(tmp_path / "training", scenes=(3, 4))
+    write_image(folder / "image_0" / "000004_11.png", image(4))
     recordings = [RecordingAt(folder, "kitti-flow", {"scene": scene}) for scene in (3, 4, 4)]
     settings = TrainSettings(kind="student-t", supervision="none")
     space = prediction_space(())

@@ -1,5 +1,6 @@
 """A recorded drive: what is kept of steps that were solved, and of those that were not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 import probevo as pv
 from probevo.noise import StudentT
 from probevo.predictors import prediction_space
+from probevo.sequences.without_imu import WithoutImu
 from probevo.training.drive import joined, load_drive, save_drive
 from probevo.training.extraction import Extraction
 from probevo_sim.point_world import write_points
@@ -41,6 +43,18 @@ def test_nothing_is_learned_from_a_step_that_was_not_solved(tmp_path: Path) -> N
         used = drive.used[drive.rows(step)]
         assert len(used) > 50
         assert used.any() == (step not in refused)
+
+
+def test_nothing_is_learned_from_frames_that_repeat(tmp_path: Path) -> None:
+    """Their errors do, too: they would be learned as none at all."""
+    write_points(point_world(frames=6), tmp_path / "drive.npz")
+    sequence = WithoutImu.of(pv.open_sequence(tmp_path / "drive.npz"))
+    frames = list(sequence)
+    frames[3] = replace(frames[3], features=frames[2].features)
+    sequence = replace(sequence, frames=frames)
+    drive = joined(Extraction(sequence, SPACE, CONFIG, num_frames=6))
+    used = [bool(drive.used[drive.rows(step)].any()) for step in range(5)]
+    assert used[:3] == [True, True, False]
 
 
 def test_it_keeps_what_the_odometry_saw(tmp_path: Path) -> None:

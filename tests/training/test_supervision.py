@@ -175,7 +175,7 @@ def test_every_step_belongs_to_its_stretch() -> None:
     )
 
 
-@pytest.mark.parametrize("unknown", [slice(None), slice(0, 1), slice(10, 11)])
+@pytest.mark.parametrize("unknown", [slice(None), slice(0, 9), slice(2, 11)])
 def test_a_loop_without_truth_closes(unknown: slice) -> None:
     """A truth that knows only one end does not help."""
     truth = TRUTH.copy()
@@ -185,6 +185,29 @@ def test_a_loop_without_truth_closes(unknown: slice) -> None:
         assert alpha == pytest.approx(
             np.linalg.norm(se3.chain_motions(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0)
         )
+
+
+@pytest.mark.parametrize("unknown", [[0], [10], [0, 10]])
+def test_the_truth_next_to_an_end_of_a_loop_stands_for_it(unknown: list[int]) -> None:
+    """The drive does not close: that was assumed, and an error of metres learned."""
+    truth = TRUTH.copy()
+    truth[unknown] = np.nan
+    loop = supervised("loop", truth=truth)
+    first, last = (int(0 in unknown), 10 - int(10 in unknown))
+    np.testing.assert_array_equal(loop.stretches, [[first, last]])
+    assert not loop.is_assumed
+    assert loop.errors(MOTIONS) == pytest.approx(MIN_ALPHA_M)
+
+
+def test_a_truth_that_is_no_loop_is_refused() -> None:
+    """Unless it could return in the frames that are unknown."""
+    straight = np.tile(np.eye(4), (STEPS + 1, 1, 1))
+    straight[:, 2, 3] = np.arange(STEPS + 1)
+    straight[8:] = np.nan
+    with pytest.raises(InputError, match=r"its truth ends 7\.0 m from where it begins"):
+        supervised("loop", truth=straight)
+    straight[5:] = np.nan
+    assert supervised("loop", truth=straight).is_assumed
 
 
 def test_a_loop_cut_short_does_not_close() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +92,7 @@ class Job:
     out: Path
     """Folder for its files."""
     learned_from_it: bool
-    """Whether the noise model or a sensor was learned from a recording of this name."""
+    """Whether the noise model or a sensor was learned from this recording."""
 
 
 def main(words: list[str]) -> None:
@@ -212,15 +213,16 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     from probevo.output.comparison.comparison import numbered
     from probevo.run_checks import check_run
     from probevo.sensor_kinds import load_sensors, recordings_of_file
-    from probevo.storage.files import name_as_text
+    from probevo.sequences.content import is_among
 
     models = {
         estimator.name: noise_model(estimator.noise, others=(AGGRESSIVE,))
         for estimator in estimators
     }
     seen = {
-        estimator.name: learned_from(models[estimator.name]).union(
-            *map(recordings_of_file, estimator.sensors)
+        estimator.name: (
+            *learned_from(models[estimator.name]),
+            *chain.from_iterable(map(recordings_of_file, estimator.sensors)),
         )
         for estimator in estimators
     }
@@ -241,7 +243,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
                 estimator,
                 config,
                 out=out / "runs" / folder,
-                learned_from_it=name_as_text(path) in seen[estimator.name],
+                learned_from_it=is_among(recording.sequence, seen[estimator.name]),
             )
         )
     return jobs

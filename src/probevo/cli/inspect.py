@@ -101,7 +101,7 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
         raise InputError("--frame and --predictors", what, "Leave them out.")
     from probevo.output.inspection.sensor import write_sensor_inspection
     from probevo.sequences import open_sequence
-    from probevo.storage.files import name_as_text
+    from probevo.sequences.content import is_among
     from probevo.storage.lock import locked
 
     reading = checked(arguments.reading)
@@ -114,7 +114,7 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
             model.name,
             recording,
             errors=errors,
-            learned_from_it=name_as_text(sequence.path.resolve()) in recordings_of_file(model),
+            learned_from_it=is_among(sequence, recordings_of_file(model)),
         )
     print("\n".join(lines))
 

@@ -15,6 +15,7 @@ from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.nets.flow_field import check_field_of_view, field_of_images
 from probevo.sequences.base import Sequence
+from probevo.sequences.content import digests_of_first_frames
 from probevo.storage.files import name_as_text
 
 
@@ -109,5 +110,6 @@ def facts_of(sequence: Sequence, num_frames: int) -> dict[str, Any]:
         "frames": num_frames,
         "first_and_last_ns": sequence.stamps_ns[[0, num_frames - 1]].tolist(),
         "camera": [np.asarray(value).tolist() for value in vars(sequence.camera).values()],
+        "view": digests_of_first_frames(sequence).view,
         "truth": hashlib.sha256(truth).hexdigest(),
     }

@@ -141,6 +141,7 @@ class TrainingRun:
         facts: dict[str, Any] = {
             "learned_from": names[: self.split],
             "left_out": names[self.split :],
+            "views": [each["view"] for each in self.recordings],
             "settings": self.settings.model_dump(mode="json"),
         }
         if trained.kept_epoch is not None:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_t_numba import mahalanobis_and_log_det
 
@@ -185,7 +185,8 @@ def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
         phi: the places of the features in its prediction space, [N, M].
 
     Raises:
-        InputError: its ``predict`` does not return a ``StereoNoise`` of N features.
+        InputError: its ``predict`` does not return a ``StereoNoise`` of N features, a value is not
+            finite, a variance is negative, ν is not positive, or ``refers_to`` is unknown.
     """
     noise = model.predict(phi)
     if not isinstance(noise, StereoNoise):
@@ -203,7 +204,42 @@ def predicted_noise(model: NoiseModel, phi: FloatArray) -> StereoNoise:
             f" {shapes[2]}.",
             "Expected are [N, 4, 4], [N] and [N, 4].",
         )
+    check_refers_to(noise.refers_to)
+    _check_values(noise)
     return noise
+
+
+def check_refers_to(refers_to: object) -> None:
+    """Refuse a word that is neither of ``RefersTo``: each would take it for another one.
+
+    Raises:
+        InputError: names the known ones.
+    """
+    if refers_to not in get_args(RefersTo):
+        known = " and ".join(get_args(RefersTo))
+        raise InputError("noise model", f"refers_to is {brief(refers_to)}.", f"Known are {known}.")
+
+
+def _check_values(noise: StereoNoise) -> None:
+    """Refuse values that no distribution has. That scales are definite is not checked: it would
+    take as long as using them.
+
+    Raises:
+        InputError: names the value.
+    """
+    arrays = {
+        "scale": noise.scale,
+        "bias": noise.bias,
+        "prev_scale": noise.prev_scale,
+        "time_correlated": noise.time_correlated,
+    }
+    for name, array in arrays.items():
+        if array is not None and not np.isfinite(array).all():
+            raise InputError("noise model", f"its predict returns a {name} that is not finite.")
+    if not (noise.dof > 0.0).all():  # NaN fails, too
+        raise InputError("noise model", "its predict returns a dof that is not positive.")
+    if (np.diagonal(noise.scale, axis1=1, axis2=2) < 0.0).any():
+        raise InputError("noise model", "its predict returns a negative variance.")
 
 
 def has_relative_scale(model: NoiseModel) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import StereoNoise
+from probevo.noise.positive_definite import check_positive_definite
 
 OBSERVATION_SIGMA_PX = (0.2, 0.2, 0.2, 0.2)
 """Standard deviation of (u_l, v_l, u_r, v_r) of a tracked corner, from the residuals of KITTI 0005
@@ -18,6 +19,9 @@ class Fixed:
 
     Args:
         covariance: R, of (u_l, v_l, u_r, v_r), [4, 4], px²; by default as for tracked corners.
+
+    Raises:
+        InputError: R is not positive definite.
     """
 
     columns: tuple[str, ...] = ()
@@ -25,6 +29,7 @@ class Fixed:
     def __init__(self, covariance: FloatArray | None = None) -> None:
         if covariance is None:
             covariance = np.diag(np.square(OBSERVATION_SIGMA_PX))
+        check_positive_definite(covariance, "covariance", 4)
         self.covariance = covariance
 
     def predict(self, predictors: FloatArray) -> StereoNoise:

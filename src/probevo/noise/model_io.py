@@ -6,7 +6,7 @@ from pathlib import Path
 
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
-from probevo.noise.model_file import read_model_file, write_model_file
+from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
 from probevo.noise.registry import noise_kinds
 
 
@@ -14,14 +14,21 @@ def save_model(model: LearnedNoiseModel, path: Path | str) -> None:
     """Write a fitted model; the same model gives the same bytes.
 
     Raises:
-        InputError: the model was not learned, or the file cannot be written.
+        InputError: the model was not learned, or could not be read back, or the file cannot be
+            written.
     """
     if not isinstance(path, str | Path):
         raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
     if not hasattr(model, "to_file"):
         what = f"is a {type(model).__name__}, which has nothing to be kept."
         raise InputError("model", what, "Give a model as train_model or fit returns it.")
-    write_model_file(Path(path), model.to_file())
+    try:
+        file = model.to_file()
+    except AttributeError as error:  # such as ``metric_``, which ``fit`` sets
+        what = f"is a {type(model).__name__} that is not fitted: it has no {error.name}."
+        raise InputError("model", what, "Call fit first.") from error
+    _model_of(file, "model", "Nothing was written.")
+    write_model_file(Path(path), file)
 
 
 def load_model(path: Path | str) -> LearnedNoiseModel:
@@ -33,20 +40,28 @@ def load_model(path: Path | str) -> LearnedNoiseModel:
     if not isinstance(path, str | Path):
         raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
     path = Path(path)
-    file = read_model_file(path)
+    return _model_of(read_model_file(path), path, "Train it again.")
+
+
+def _model_of(file: ModelFile, where: Path | str, cure: str) -> LearnedNoiseModel:
+    """Return the model that a file describes.
+
+    Raises:
+        InputError: its kind is unknown, or it does not hold such a model.
+    """
     readers = {
         name: kind.from_file for name, kind in noise_kinds().items() if kind.from_file is not None
     }
     if file.kind not in readers:
         raise InputError(
-            path,
+            where,
             f"a noise model of kind {file.kind!r}.",
             f"Known are {', '.join(sorted(readers))}.",
         )
     # Each kind checks its own content; here the file and the remedy are added to what it reports.
     try:
         return readers[file.kind](file)
-    except (KeyError, ValueError, OverflowError, RecursionError, InputError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError, InputError) as error:
         raise InputError(
-            path, f"it is not a complete {file.kind} model ({error}).", "Train it again."
+            where, f"it is not a complete {file.kind} model ({error}).", cure
         ) from error

@@ -14,6 +14,7 @@ from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
 from probevo.noise.model_file import ModelFile
+from probevo.sequences.content import SeenRecording
 from probevo.settings import Settings
 
 
@@ -37,6 +38,8 @@ class _Recording(_TrainingPart):
     name: str
     frames: int = Field(ge=0, le=10**12)
     sha256: str
+    view: str | None = None
+    """Digest of what its first frames show, by which it is recognised; older files lack it."""
 
 
 class _Iteration(_TrainingPart):
@@ -110,10 +113,13 @@ class OriginFacts(Settings):
         return facts
 
 
-def learned_from(model: NoiseModel) -> frozenset[str]:
-    """Return the names of the recordings that a noise model was learned from; none if untrained."""
+def learned_from(model: NoiseModel) -> tuple[SeenRecording, ...]:
+    """Return the recordings that a noise model was learned from; none if untrained."""
     training: Mapping[str, Any] = getattr(model, "training", {})
-    return frozenset(str(recording["name"]) for recording in training.get("recordings", ()))
+    return tuple(
+        SeenRecording(str(recording["name"]), recording.get("view"))
+        for recording in training.get("recordings", ())
+    )
 
 
 def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:

@@ -14,11 +14,12 @@ from pydantic import Field
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.noise.base import RefersTo, StereoNoise, disparity_variance
+from probevo.errors import InputError, brief
+from probevo.noise.base import RefersTo, StereoNoise, check_refers_to, disparity_variance
 from probevo.noise.jitter_array import jitter_arrays, jitter_cov_of
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
-from probevo.noise.positive_definite import is_positive_definite
+from probevo.noise.positive_definite import check_positive_definite, is_positive_definite
 from probevo.noise.student_t_fit import fit_static
 
 DOF = 2.5
@@ -54,6 +55,10 @@ class StudentT:
         scale_is_relative: whether the size of the errors differs from recording to recording, and
             the odometry learns it online (``has_relative_scale``). By default it does so for the
             default scale alone; training sets it.
+
+    Raises:
+        InputError: ν is not positive, the scale is not positive definite, or ``refers_to`` is
+            unknown.
     """
 
     columns: tuple[str, ...] = ()
@@ -70,6 +75,10 @@ class StudentT:
         jitter_cov: FloatArray | None = None,
         scale_is_relative: bool | None = None,
     ) -> None:
+        check_refers_to(refers_to)
+        _check_dof(dof)
+        if scale is not None:
+            check_positive_definite(scale, "scale", 4)
         self.dof = dof
         self.scale = DEFAULT_SCALE.copy() if scale is None else scale
         self.refers_to = refers_to
@@ -177,6 +186,17 @@ class StudentT:
             jitter_cov=jitter_cov_of(file),
             scale_is_relative=facts.scale_is_relative,
         )
+
+
+def _check_dof(dof: object) -> None:
+    """Refuse degrees of freedom that are not positive.
+
+    Raises:
+        InputError: says what they are.
+    """
+    if not isinstance(dof, int | float | np.number) or not dof > 0.0:  # NaN fails, too
+        cure = "Give a positive number, or inf."
+        raise InputError("noise model", f"its dof is {brief(dof)}.", cure)
 
 
 class _Facts(OriginFacts):

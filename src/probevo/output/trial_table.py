@@ -118,7 +118,7 @@ def _seen_note(comparison: Comparison) -> tuple[str, ...]:
         for entry in comparison.entries
         if entry.learned_from_it
     ]
-    return (f"Learned from recordings of the same names: {', '.join(seen)}.",) if seen else ()
+    return (f"Learned from the same recordings: {', '.join(seen)}.",) if seen else ()
 
 
 def trials_section(table: TrialTable) -> Markup:

@@ -1,8 +1,9 @@
 """A test of the claimed covariances that needs no truth: two halves of the features of a recording.
 
-Each half is followed and solved for by an odometry of its own, without an IMU. As far as the errors
-of both motions come from the features, they are independent, so that their difference has the sum
-of both covariances. Errors that both halves have in common, such as a wrong baseline, do not show.
+Each half is followed and solved for by an odometry of its own, without an IMU in the solve. As far
+as the errors of both motions come from the features, they are independent, so that their difference
+has the sum of both covariances. Errors that both halves have in common, such as a wrong baseline,
+do not show.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from probevo.estimation.motion_estimate import Status
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.noise import NoiseModel
 from probevo.odometry import StereoOdometry
+from probevo.predictors import space_for
 from probevo.sequences import Sequence
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.masked import mask_of_array
@@ -36,6 +38,8 @@ WARM_UP = 5
 FEWEST = 10
 """Motions below which nothing can be said."""
 DIMENSION = 6
+GOLDEN_RATIO = np.uint64(0x9E3779B97F4A7C15)
+"""2⁶⁴ over the golden ratio, odd: multiples of it are spread evenly over 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -96,23 +100,28 @@ def compare_halves(
     """Run two odometries over the halves of a recording's features, and compare their motions.
 
     Args:
-        sequence: the recording; its IMU is not used.
+        sequence: the recording; its IMU is used only for the predictors of the noise.
         noise: model of the features' noise, in both.
         config: settings that differ from the defaults.
         max_frames: frames that are looked at, from the start; all by default.
         on_progress: is called with the number of frames done, and of all.
 
     Raises:
-        InputError: fewer than ``FEWEST`` steps are solved by both halves.
+        InputError: the recording lacks what a predictor of the noise needs, or fewer than
+            ``FEWEST`` steps are solved by both halves.
     """
+    space_for(noise.columns).check_recording(sequence)
+    # The errors of an IMU in the solve would be in common. Predictors are to be as in a run.
+    config = {**config, "window": {**config.get("window", {}), "imu": "off"}}
+    imu = sequence.imu if noise.columns else None
     total = len(sequence) if max_frames is None else min(max_frames, len(sequence))
-    odometry = StereoOdometry(sequence.camera, noise, config=config)
-    other_odometry = StereoOdometry(sequence.camera, noise, config=config)
+    odometry = StereoOdometry(sequence.camera, noise, imu, config=config)
+    other_odometry = StereoOdometry(sequence.camera, noise, imu, config=config)
     squared: dict[int, list[float]] = {1: [], SPAN: []}
     num_solved = 0
     left_right = LeftRightCheck(sequence.path, total)
     for done, frame in enumerate(islice(sequence, total)):
-        first, second = halves_of(frame)
+        first, second = halves_of(replace(frame, imu=None) if imu is None else frame)
         motion = odometry.step(first)
         left_right.see(frame, odometry.tracks)
         other_motion = other_odometry.step(second)
@@ -154,16 +163,17 @@ def compare_halves(
 
 
 def halves_of(frame: Frame) -> tuple[Frame, Frame]:
-    """Return a frame twice, without IMU samples: with the white and with the black squares of a
-    checkerboard over the left image, or with every other feature."""
-    frame = replace(frame, imu=None)
+    """Return a frame twice: with the white and with the black squares of a checkerboard over the
+    left image, or with half of the features each, by a hash of their identities."""
     if frame.features is not None:
-        is_even = frame.features.ids % 2 == 0
         ids = frame.features.ids
         pixels = frame.features.pixels
+        # The highest bit of a multiplicative hash (Knuth 1998, section 6.4): identities may be all
+        # even.
+        is_first = np.asarray(ids).astype(np.uint64) * GOLDEN_RATIO < np.uint64(2**63)
         return (
-            replace(frame, features=StereoFeatures(ids[is_even], pixels[is_even])),
-            replace(frame, features=StereoFeatures(ids[~is_even], pixels[~is_even])),
+            replace(frame, features=StereoFeatures(ids[is_first], pixels[is_first])),
+            replace(frame, features=StereoFeatures(ids[~is_first], pixels[~is_first])),
         )
     if frame.left is None:
         return frame, frame

@@ -165,10 +165,22 @@ def _train(
 
     # Standardise the prediction space over the features of all drives.
     moments = reduce(add, (fact.moments for fact in facts))
-    metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
+    try:
+        metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
+    except InputError as error:
+        if settings.predictors is not None:
+            raise
+        # Such as the last residual of two frames: whoever named no predictor can leave out none.
+        cure = "Give a longer recording, or name other predictors with --predictors."
+        raise InputError(error.where, error.what, cure) from error
     # Describe the recordings, for the model file.
     described = [
-        {"name": name_as_text(source.path), "frames": source.num_frames, "sha256": fact.digest}
+        {
+            "name": name_as_text(source.path),
+            "frames": source.num_frames,
+            "sha256": fact.digest,
+            "view": source.view,
+        }
         for source, fact in zip(sources, facts, strict=True)
     ]
     # Where there are more steps than a training without truth can use, take a share of them.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.noise import StudentT
@@ -20,8 +20,10 @@ from probevo.noise.metric import check_defined
 from probevo.odometry import StereoOdometry
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence, first_frames
+from probevo.sequences.content import hash_frame
 from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import LeftRightCheck
+from probevo.tracking.repeated_images import are_repeated
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 from probevo.training.sources import calibration
@@ -67,6 +69,7 @@ class Extraction:
         )
         self._digest = hashlib.sha256(json.dumps(calibration(sequence)).encode())
         self._left_right = LeftRightCheck(sequence.path, num_frames)
+        self._prev_frame: Frame | None = None
 
     @property
     def digest(self) -> str:
@@ -87,7 +90,7 @@ class Extraction:
             motion = self._step(frame)
             if motion is None:
                 continue
-            T_curr_prev, is_solved = motion
+            T_curr_prev, can_teach = motion
 
             # Begin a new part where this step would make the current one too large.
             step_bytes = _bytes(self._odometry.phi)
@@ -97,16 +100,16 @@ class Extraction:
                 part = _Part(first_step=part.first_step + len(part))
                 part_bytes = 0
 
-            # Nothing is learned from a step whose motion is dead reckoning.
-            used = self._odometry.used & is_solved
+            used = self._odometry.used & can_teach
             part.add(T_curr_prev, self._odometry.tracks, self._odometry.phi, used)
             part_bytes += step_bytes
         yield part.drive()
 
     def _step(self, frame: Frame) -> tuple[FloatArray, bool] | None:
-        """Return the motion to this frame and whether it was solved; None for the first frame."""
+        """Return the motion to this frame and whether it can be learned from; None for the first
+        frame."""
         # The digest identifies the training data in the model's metadata.
-        _hash_frame(self._digest, frame)
+        hash_frame(self._digest, frame)
         motion = self._odometry.step(frame)
         odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
@@ -114,9 +117,13 @@ class Extraction:
         self._left_right.see(frame, odometry.tracks)
         if self.on_frame is not None:
             self.on_frame(frame.index + 1)
-        if frame.index == 0:
+        prev_frame = self._prev_frame
+        self._prev_frame = frame
+        if prev_frame is None:
             return None
-        return motion.T_curr_prev, motion.status is Status.OK
+        # Nothing is learned from dead reckoning, nor from errors that repeat with the images.
+        can_teach = motion.status is Status.OK and not _repeats(prev_frame, frame)
+        return motion.T_curr_prev, can_teach
 
 
 @dataclass(frozen=True)
@@ -162,6 +169,16 @@ class _Part:
         )
 
 
+def _repeats(prev: Frame, curr: Frame) -> bool:
+    """Return whether the images of a frame, or the pixels of all its features, are the previous
+    frame's."""
+    if prev.features is None or curr.features is None:
+        return are_repeated(prev, curr)
+    return np.array_equal(prev.features.ids, curr.features.ids) and np.array_equal(
+        prev.features.pixels, curr.features.pixels
+    )
+
+
 def _bytes(phi: FloatArray) -> int:
     """Return how many bytes a step with n features and M predictors, [n, M], takes on disk.
 
@@ -172,16 +189,3 @@ def _bytes(phi: FloatArray) -> int:
     # of 16 doubles with an index.
     count, columns = map(int, phi.shape)
     return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
-
-
-def _hash_frame(digest: hashlib._Hash, frame: Frame) -> None:
-    """Add all that the odometry is given with a frame to the digest."""
-    digest.update(np.int64(frame.stamp_ns).tobytes())
-    arrays: list[AnyArray | None] = [frame.left, frame.right]
-    if frame.features is not None:
-        arrays += [frame.features.ids, frame.features.pixels]
-    if frame.imu is not None:
-        arrays += [frame.imu.stamps_ns, frame.imu.gyro_rad_s, frame.imu.accel_m_s2]
-    for array in arrays:
-        if array is not None:
-            digest.update(np.ascontiguousarray(array).tobytes())

@@ -17,6 +17,7 @@ from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_spa
 from probevo.run_checks import check_imu
 from probevo.sequences import open_sequence
 from probevo.sequences.base import Sequence
+from probevo.sequences.content import digests_of_first_frames, show_the_same
 from probevo.training.settings import TrainSettings
 from probevo.training.supervision import supervision_of
 from probevo.training.trainer import trainer_of
@@ -49,7 +50,10 @@ class Source:
     """Number of its frames that are used."""
     facts: list[Any]
     """Facts that identify the recording, in plain values that JSON can hold: its path, number of
-    frames, first and last time, calibration, and the options that it was opened with, if any."""
+    frames, first and last time, calibration, a digest of its first frames, and the options that it
+    was opened with, if any."""
+    view: str
+    """Digest of what its first frames show (``sequences.content``)."""
     truth: str
     """Digest of the part of its ground truth that is used."""
 
@@ -72,7 +76,7 @@ def checked_sources(
 
     Raises:
         InputError: a recording is faulty, lacks what the supervision or a predictor needs, is named
-            twice, or has another camera than the first.
+            twice or shows the same as another one, or has another camera than the first.
     """
     sources: list[Source] = []
     seen: set[tuple[Path, str, str]] = set()
@@ -111,6 +115,16 @@ def checked_sources(
                 "it has one frame, and so no motion to learn from.",
                 "Give a longer one.",
             )
+        first = digests_of_first_frames(sequence)
+        for source in sources:
+            if source.view != first.view or source.num_frames != num_frames:
+                continue
+            if show_the_same(sequence, source.open(), num_frames):
+                raise InputError(
+                    sequence.path,
+                    f"its frames are those of {source.path}.",
+                    "Give one of them: it would count double.",
+                )
         check_imu(sequence, settings.odometry)
         supervision = supervision_of(
             sequence, settings.supervision, settings.every_s, num_frames=num_frames
@@ -122,6 +136,7 @@ def checked_sources(
             len(sequence),
             sequence.stamps_ns[[0, -1]].tolist(),
             calibration(sequence),
+            first.given,
         ]
         if isinstance(recording, RecordingAt):
             options = {name: str(value) for name, value in sorted(recording.options.items())}
@@ -132,6 +147,7 @@ def checked_sources(
             camera=sequence.camera,
             num_frames=num_frames,
             facts=facts,
+            view=first.view,
             truth=supervision.digest,
         )
         sources.append(source)

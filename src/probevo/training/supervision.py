@@ -18,6 +18,9 @@ from probevo.training.settings import SupervisionName
 
 MIN_ALPHA_M = 1e-6
 """Smallest error α: a smaller one is due to chance, and its logarithm would weigh most."""
+LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
+"""Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
+hand."""
 MIN_POSITIONS = 4
 """Minimum number of positions for the alignment of a path; three always fit."""
 
@@ -177,18 +180,22 @@ def supervision_of(
 def _loop(sequence: Sequence, poses: FloatArray, is_known: BoolArray) -> Supervision:
     """Return the true ends of a loop, or the assumption that it closes.
 
+    The truth of a frame next to an end stands for it.
+
     Args:
         sequence: the recording.
         poses: true poses of the frames that are used, [num_frames, 4, 4].
         is_known: which of them are known, [num_frames].
 
     Raises:
-        InputError: the end of the loop is not known, and the last frames are not used.
+        InputError: the end of the loop is not known, and the last frames are not used; or the
+            truth, as far as it is known, is no loop.
     """
     num_frames = len(poses)
-    ends = np.array([0, num_frames - 1])
+    known = np.flatnonzero(is_known)
     # Measured ends need not coincide.
-    if is_known[ends].all():
+    if len(known) >= 2 and known[0] <= 1 and known[-1] >= num_frames - 2:
+        ends = known[[0, -1]]
         return Supervision("loop", ends, poses[ends])
     # Without them, the loop closes only if it is run to its end.
     if num_frames < len(sequence):
@@ -198,7 +205,36 @@ def _loop(sequence: Sequence, poses: FloatArray, is_known: BoolArray) -> Supervi
             " last one.",
             "Leave out --max-frames.",
         )
+    if len(known) >= 2:
+        _refuse_open(sequence, poses[known, :3, 3], known, num_frames)
+    ends = np.array([0, num_frames - 1])
     return Supervision("loop", ends, np.stack([np.eye(4), np.eye(4)]))
+
+
+def _refuse_open(
+    sequence: Sequence, positions: FloatArray, known: IntArray, num_frames: int
+) -> None:
+    """Refuse a recording whose truth, as far as it is known, cannot return to where it began.
+
+    Args:
+        sequence: the recording.
+        positions: the known true positions, [F, 3], m.
+        known: their frames, ascending, [F].
+        num_frames: number of its frames that are used.
+
+    Raises:
+        InputError: its ends are too far from each other.
+    """
+    # In the frames without truth, it moves by no more than where it is fastest.
+    lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(known)
+    num_unknown = num_frames - 1 - int(known[-1] - known[0])
+    gap_m = float(np.linalg.norm(positions[-1] - positions[0]))
+    if gap_m > 3.0 * LOOP_SIGMA[0] + num_unknown * lengths.max():
+        raise InputError(
+            sequence.path,
+            f"it is no loop: its truth ends {gap_m:.1f} m from where it begins.",
+            "Take --supervision sparse.",
+        )
 
 
 def from_step_to_step(T_curr_prev: FloatArray) -> Supervision:

@@ -205,7 +205,7 @@ def test_who_has_seen_the_recording_is_marked_and_never_the_best(
         "  student-t",
         "  third",
     ]
-    assert column_notes(seen)[-1].startswith("†: learned from a recording of this name")
+    assert column_notes(seen)[-1].startswith("†: learned from this recording")
     assert "fixed from hill" in trial_table(seen).notes[-1]
 
 

@@ -6,13 +6,12 @@ import pytest
 from probevo.arrays import BoolArray, FloatArray
 from probevo.geometry import se3
 from probevo.training.gk.conditioning import (
-    LOOP_SIGMA,
     MAX_COMMON,
     StepCorrelations,
     conditioned,
 )
 from probevo.training.gk.expectation import UNSOLVED_SIGMA
-from probevo.training.supervision import Supervision
+from probevo.training.supervision import LOOP_SIGMA, Supervision
 
 STEPS = 12
 EXACT = np.zeros(6)

@@ -12,7 +12,7 @@ features like the ones that gave poor motions get a larger covariance (PROBE sec
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -100,8 +100,8 @@ class NearestNeighbors:
                 samples, and none may be undefined.
 
         Raises:
-            InputError: there are fewer samples than K, an α is no positive number, or a predictor
-                is NaN where it must be defined.
+            InputError: there are fewer samples than K, γ is negative, the average is unknown, an α
+                is no positive number, or a predictor is NaN where it must be defined.
         """
         predictors = np.asarray(predictors, dtype=np.float64)
         alphas = np.asarray(alphas, dtype=np.float64)
@@ -110,6 +110,12 @@ class NearestNeighbors:
                 "training data", f"{len(predictors)} points, but {len(alphas)} errors α."
             )
         check_neighbors(self.neighbors, len(alphas))
+        if not 0.0 <= self.exponent < np.inf or self.average not in get_args(Average):
+            raise InputError(
+                "nearest neighbours",
+                f"exponent {self.exponent}, average {self.average!r}.",
+                f"The exponent is 0 or more, and known averages are {get_args(Average)}.",
+            )
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
             raise InputError("training data", "an error α is not a positive number.")
         self.metric_ = metric or Metric.fitted(predictors)

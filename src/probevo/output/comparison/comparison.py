@@ -61,7 +61,7 @@ class Entry:
     config: RunConfig | None = None
     """All settings of this run."""
     learned_from_it: bool = False
-    """Whether the noise model or a sensor was trained or calibrated on a recording of this name.
+    """Whether the noise model or a sensor was trained or calibrated on this recording.
 
     If so, the figures of the run say little of other recordings."""
 
@@ -264,7 +264,7 @@ def column_notes(comparison: Comparison) -> tuple[str, ...]:
             " through one may be another there."
         )
     if any(entry.learned_from_it for entry in comparison.entries):
-        notes.append("†: learned from a recording of this name, and so no test of it.")
+        notes.append("†: learned from this recording, and so no test of it.")
     return tuple(notes)
 
 

@@ -34,7 +34,7 @@ def write_sensor_inspection(
         name: name of the sensor's file.
         recording: name of the recording.
         errors: errors of the sensor on the recording.
-        learned_from_it: whether the sensor was trained or calibrated on a recording of this name.
+        learned_from_it: whether the sensor was trained or calibrated on this recording.
 
     Raises:
         InputError: the file cannot be written.
@@ -57,7 +57,7 @@ def write_sensor_inspection(
     if errors.kept:
         facts["Kept"] = errors.kept
     if learned_from_it:
-        facts["Learned"] = "from a recording of this name, and so this is no test of it"
+        facts["Learned"] = "from this recording, and so this is no test of it"
     table = text_table(("region", "errors within"), rows)
     with figure_style():
         panels = [panel("Calibration", "Consistent is on the grey line.", _calibration(covered))]

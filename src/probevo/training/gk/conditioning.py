@@ -15,7 +15,7 @@ from probevo.estimation.disparity_filter_numba import COMMON
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.jitter_numba import JITTER_DIM
-from probevo.training.supervision import Supervision
+from probevo.training.supervision import LOOP_SIGMA, Supervision
 
 MIN_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
 """Smallest standard deviation of the truth, m and rad: no truth is more accurate."""
@@ -26,9 +26,6 @@ MEDIAN_CHI2 = 0.4549
 SIGMA_ACCURACY = 1e-4
 """Relative accuracy of the estimated σ of the truth, whose own scatter is half a percent with ten
 thousand stretches."""
-LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
-"""Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
-hand."""
 MAX_COMMON = COMMON + JITTER_DIM
 """Largest number K of common-mode errors: of the disparities, and of the rig's jitter."""
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray, concatenated
+from probevo.arrays import BoolArray, FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.student_t_numba import MIN_SIGMA_PX
 from probevo.training.gk.expectation import expect
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
@@ -79,6 +80,29 @@ class ErrorSamples:
     def drives(self) -> IntArray:
         """Number of the drive of each feature, [N]."""
         return self.groups // BLOCKS_A_DRIVE
+
+    def with_noise(self) -> ErrorSamples:
+        """Return the samples without those of drives that have no noise, unless none has any.
+
+        Simulated or frozen images repeat a coordinate exactly. Between such errors and those of
+        other drives, no distribution is like either.
+        """
+        numbers, drives = np.unique(self.drives, return_inverse=True)
+        squared = [np.median(self.errors[drives == k] ** 2, axis=0) for k in range(len(numbers))]
+        is_noisy: BoolArray = np.all(np.array(squared) >= MIN_SIGMA_PX**2, axis=1)
+        if is_noisy.all() or not is_noisy.any():
+            return self
+        kept = np.flatnonzero(is_noisy[drives])
+        return replace(
+            self,
+            features=self.features[kept],
+            phi=self.phi[kept],
+            errors=self.errors[kept],
+            error_cov=self.error_cov[kept],
+            groups=self.groups[kept],
+            log_likelihood=self.log_likelihood[kept],
+            profile=self.profile[kept],
+        )
 
     @property
     def likelihoods(self) -> FeatureLikelihoods:

@@ -97,14 +97,15 @@ def _iterated(
     # E-step: motions given the noise, and the errors of the features at these motions.
     samples = _errors_under(context, previous, context.progress.within_iteration)
     # M-step: the Student-t of these errors, whose uncertainty is in their covariance.
+    noisy = samples.with_noise()
     model = copy(previous)
     factors = recording_factors(previous.training, len(context.drives))
-    factors = fit_with_factors(model, samples, factors)
+    factors = fit_with_factors(model, noisy, factors)
     model.scale_is_relative_ = True  # the size of a new recording's errors is not known
     model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
     if learns_time_correlation:
         model.time_correlation_ratio_ = updated_time_correlation(
-            previous.time_correlation_ratio_, samples
+            previous.time_correlation_ratio_, noisy
         )
     model.training = {
         "iterations": [*previous.training["iterations"], samples.progress],
@@ -214,6 +215,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 factors=factors,
             )
             # M-step: the kernel over these errors.
+            noisy = samples.with_noise()
             model = GeneralizedKernel(
                 settings.variant,
                 **history.given,
@@ -221,10 +223,10 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 refers_to=settings.refers_to,
             )
             model.fit(
-                samples.phi,
-                samples.errors,
-                samples.groups,
-                error_cov=samples.error_cov,
+                noisy.phi,
+                noisy.errors,
+                noisy.groups,
+                error_cov=noisy.error_cov,
                 metric=context.metric,
                 on_progress=lambda done, total: context.progress.within_iteration(
                     0.5 + 0.5 * done / max(total, 1)
@@ -233,7 +235,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
             model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
             if previous.time_correlation_ratio_:
                 model.time_correlation_ratio_ = updated_time_correlation(
-                    previous.time_correlation_ratio_, samples
+                    previous.time_correlation_ratio_, noisy
                 )
             model.training = history.facts_after(model, samples.progress)
             model = model.without_samples()

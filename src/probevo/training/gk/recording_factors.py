@@ -16,6 +16,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.noise.student_t import StudentT
 from probevo.noise.student_t_arrays import DIM
+from probevo.noise.student_t_numba import MIN_SIGMA_PX
 from probevo.training.gk.error_samples import ErrorSamples
 
 ROUNDS = 4
@@ -60,9 +61,12 @@ def fit_with_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray
 def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArray) -> FloatArray:
     """Return the factor of each recording under which its errors are likeliest, [D].
 
-    A recording without any error keeps the one it has.
+    A recording without any feature keeps the one it has.
     """
     inverse = np.linalg.inv(model.scale_)
+    # Errors that are all zero count as those of the smallest σ, in pixels: the factor would fall
+    # without end.
+    least = MIN_SIGMA_PX**2 * float(np.trace(inverse)) / DIM
     # eᵀ Σ⁻¹ e, and its expectation over what is uncertain of e
     squared = np.einsum("ni,ij,nj->n", samples.errors, inverse, samples.errors)
     squared += np.einsum("ij,nji->n", inverse, samples.error_cov)
@@ -73,6 +77,6 @@ def _likeliest_factors(model: StudentT, samples: ErrorSamples, factors: FloatArr
         # Weighted mean of the squares, with the weights of a Student-t (PX-EM)
         for _ in range(SCALE_ITERATIONS):
             weights = (model.dof_ + DIM) / (model.dof_ + drive_squared / factor)
-            factor = np.average(drive_squared, weights=weights) / DIM
+            factor = max(np.average(drive_squared, weights=weights) / DIM, least)
         likeliest[drive] = factor
     return likeliest
