@@ -179,39 +179,45 @@ def test_no_name_holds_a_private_word(word: str) -> None:
 def test_no_value_is_named_by_a_preposition() -> None:
     """A variable says what it is: `pose_jacobian`, not `of_pose`. Methods may begin with `of_`."""
     found = [
-        f"{path.relative_to(SRC)}:{node.lineno}: {name}"
+        f"{path.relative_to(SRC)}:{line}: {name}"
         for path in FILES
-        for node in ast.walk(parsed(path))
-        for name in bound_values(node)
+        for name, line in bound_values(parsed(path))
         if name.startswith("of_")
     ]
     assert not found, "\n".join(["begin with the noun", *found])
 
 
-def bound_values(node: ast.AST) -> Iterator[str]:
-    """The variables, parameters and attributes that a node binds."""
-    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-        yield node.id
-    if isinstance(node, ast.arg):
-        yield node.arg
-    if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-        yield node.attr
+def bound_values(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """The variables, parameters and attributes that a file binds, with their lines."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id, node.lineno
+        if isinstance(node, ast.arg):
+            yield node.arg, node.lineno
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.attr, node.lineno
 
 
 def test_what_an_attribute_is_begins_with_a_noun() -> None:
     """It reads: Velocity at the end, [3], m/s. It does not read: Of the end, [3]."""
     found = [
-        f"{path.relative_to(SRC)}:{text.lineno}: {text.value.value}"
+        f"{path.relative_to(SRC)}:{line}: {text}"
         for path in FILES
-        for node in ast.walk(parsed(path))
-        if isinstance(node, ast.ClassDef | ast.Module)
-        for before, text in pairwise(node.body)
-        if isinstance(before, ast.Assign | ast.AnnAssign)
-        and isinstance(text, ast.Expr)
-        and isinstance(text.value, ast.Constant)
-        and re.match(r"(Of|As|Those|That of)\b", str(text.value.value))
+        for text, line in attribute_docstrings(parsed(path))
+        if re.match(r"(Of|As|Those|That of)\b", text)
     ]
     assert not found, "\n".join(found)
+
+
+def attribute_docstrings(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """The texts below attributes and constants, with their lines."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ClassDef | ast.Module):
+            continue
+        for before, after in pairwise(node.body):
+            is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if isinstance(before, ast.Assign | ast.AnnAssign) and is_text:
+                yield ast.unparse(after).strip("'\""), after.lineno
 
 
 def test_every_exception_is_still_needed() -> None:

@@ -25,9 +25,9 @@ class FirstFrames(NamedTuple):
     """SHA-256 of the first frames of a recording."""
 
     view: str
-    """Of what they show, their images or features: neither clock nor IMU count."""
+    """Digest of their images or features; neither clock nor IMU count."""
     given: str
-    """Of all that the odometry is given with them."""
+    """Digest of all that the odometry is given with them."""
 
 
 @dataclass(frozen=True)
