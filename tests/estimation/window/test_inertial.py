@@ -30,6 +30,7 @@ from probevo.estimation.window.inertial_steps import (
     initialize_states,
     preintegrate_samples,
     system_of,
+    without_imu,
 )
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
@@ -706,6 +707,27 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
     sigma_m = np.sqrt(np.trace(estimates[-1].cov_cam_world[:3, :3]))
     off = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
     assert np.linalg.norm(off[:3, 3]) < 3.0 * sigma_m
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_stay_known_where_the_imu_is_left_out_behind_the_first_frame(seed: int) -> None:
+    """The prior then holds the one factor of the frame that has left, and does not know all of
+    velocity, biases and gravity. What it says of the poses is semi-definite none the less, and no
+    more than with the IMU."""
+    frames, _ = drive_of(seed, 9)
+    by = odometry()
+    for frame in frames:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    assert window.inertial.is_used
+    assert window.frames[0] == 1
+    poses = slice(0, POSE * len(window))
+    before = window.prior.information[poses, poses]
+    after = without_imu(window, NO_SOLUTION).prior.information[poses, poses]
+    largest = np.linalg.eigvalsh(before)[-1]
+    assert np.linalg.eigvalsh(after)[0] > -1e-12 * largest
+    assert np.linalg.eigvalsh(before - after)[0] > -1e-12 * largest
 
 
 def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known() -> None:

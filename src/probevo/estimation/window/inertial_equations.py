@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.scaled_inverse import scaled_inverse
+from probevo.estimation.scaled_inverse import scaled_inverse, scaled_pseudo_inverse
 from probevo.estimation.window.equations import POSE, RIG, WindowEquations
 from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
 from probevo.estimation.window.window import MarginalPrior, Window
@@ -151,7 +151,9 @@ def inertial_system(
     diagonal = np.diagonal(inertial)
     unmeasured = np.flatnonzero(diagonal < MIN_INFORMATION)
     inertial[unmeasured, unmeasured] = MIN_INFORMATION
-    own = scaled_inverse(inertial)
+    # Without any pair the prior is all there is, and need not know every combination of the states:
+    # of one frame that has been marginalised, it holds the single factor that connected it.
+    own = scaled_inverse(inertial) if num_pairs else scaled_pseudo_inverse(inertial)
     return InertialSystem(
         cost=cost, hessian=hessian, gradient=gradient, gain=own @ hessian[p:, :p], own=own
     )
