@@ -4,6 +4,10 @@ Forster, Carlone, Dellaert, Scaramuzza, "On-manifold preintegration for real-tim
 odometry", T-RO 2017. Everything is in the axes of the camera: rates and forces are turned by
 C_cam_imu first, so that the "body" is the IMU's place with the camera's axes, and ``lever_m`` away
 from the camera's centre.
+
+Biases walk within the interval, too. Given their values at both ends, which are states, what
+remains of the walk is a Brownian bridge: it counts as noise, so that preintegration and walk
+together are one joint factor of both frames, as long as the interval may be.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from probevo.measurements.gyro import means_between
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration_numba import (
     MeanSamples,
+    NoiseDensities,
     PreintegrationSums,
     preintegrate_samples,
 )
@@ -64,9 +69,13 @@ class Preintegration:
     position: FloatArray
     """Δp, [3], m."""
     cov: FloatArray
-    """Covariance of (δφ, δv, δp) from white noise, [9, 9]; the true rotation is ΔR Exp(δφ)."""
+    """Covariance of (δφ, δv, δp), [9, 9], given the biases at both ends: from white noise, and from
+    the random walk of the biases between the ends; the true rotation is ΔR Exp(δφ)."""
     bias_jacobian: FloatArray
     """Derivative of (δφ, δv, δp) with respect to ``bias``, [9, 6]."""
+    bias_change_jacobian: FloatArray
+    """Derivative with respect to the change of the bias from the start to the end, [9, 6]: between
+    two known values, a random walk is a straight line in the mean."""
     bias: FloatArray
     """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, that were taken off,
     [6]."""
@@ -135,13 +144,15 @@ def preintegrate(
         position=np.zeros(3),
         cov=np.zeros((9, 9)),
         bias_jacobian=np.zeros((9, 6)),
+        bias_change_jacobian=np.zeros((9, 6)),
     )
-    preintegrate_samples(
-        MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]),
-        max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
-        max(float(calibration.accel_noise_m_s2_sqrt_hz), MIN_ACCEL_NOISE_M_S2_SQRT_HZ),
-        sums,
+    densities = NoiseDensities(
+        gyro=max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
+        accel=max(float(calibration.accel_noise_m_s2_sqrt_hz), MIN_ACCEL_NOISE_M_S2_SQRT_HZ),
+        gyro_walk=float(calibration.gyro_bias_walk_rad_s2_sqrt_hz),
+        accel_walk=float(calibration.accel_bias_walk_m_s3_sqrt_hz),
     )
+    preintegrate_samples(MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]), densities, sums)
     if not all(np.isfinite(part).all() for part in sums):
         text = "has rates or forces whose integral is not finite"
         return NoPreintegration(ImuReason(ImuFault.INTEGRAL_NOT_FINITE, text))
@@ -152,6 +163,7 @@ def preintegrate(
         position=sums.position,
         cov=0.5 * (sums.cov + sums.cov.T),
         bias_jacobian=sums.bias_jacobian,
+        bias_change_jacobian=sums.bias_change_jacobian,
         bias=bias,
         lever_m=calibration.T_cam_imu[:3, 3],
     )

@@ -218,7 +218,8 @@ def linearized(
     current = _kinematics(
         measured, window.T_cam_world, first, velocity=states.velocity, gravity=states.gravity
     )
-    residual = _residuals(measured, current, states.bias[first])
+    change = states.bias[first + 1] - states.bias[first]
+    residual = _residuals(measured, current, states.bias[first], change)
     linear = _kinematics(
         measured,
         window.T_linear,
@@ -244,6 +245,8 @@ class _Factors(NamedTuple):
     """Δp, [F, 3], m."""
     bias_jacobian: FloatArray
     """Derivative of (δφ, δv, δp) with respect to ``bias``, [F, 9, 6]."""
+    bias_change_jacobian: FloatArray
+    """The same with respect to its change from the start to the end, [F, 9, 6]."""
     bias: FloatArray
     """Biases that were taken off the samples, [F, 6], rad/s and m/s²."""
     lever_m: FloatArray
@@ -258,6 +261,7 @@ class _Factors(NamedTuple):
             velocity=np.stack([factor.velocity for factor in factors]),
             position=np.stack([factor.position for factor in factors]),
             bias_jacobian=np.stack([factor.bias_jacobian for factor in factors]),
+            bias_change_jacobian=np.stack([factor.bias_change_jacobian for factor in factors]),
             bias=np.stack([factor.bias for factor in factors]),
             lever_m=np.stack([factor.lever_m for factor in factors]),
         )
@@ -316,17 +320,21 @@ def _kinematics(
     )
 
 
-def _residuals(factors: _Factors, current: _Kinematics, bias: FloatArray) -> FloatArray:
+def _residuals(
+    factors: _Factors, current: _Kinematics, bias: FloatArray, bias_change: FloatArray
+) -> FloatArray:
     """Return (δφ, δv, δp), [F, 9]: what the states say minus what the samples say.
 
     Args:
         factors: F preintegrations.
         current: kinematics at the current values.
         bias: current biases at the start of each interval, [F, 6].
+        bias_change: what is added to them until its end, [F, 6].
     """
     # The samples were summed up with another bias; what that changes is taken to first order, as
     # (δφ, δv, δp), [F, 9]: ΔR Exp(δφ), Δv + δv, Δp + δp.
     correction = _products(factors.bias_jacobian, bias - factors.bias)
+    correction += _products(factors.bias_change_jacobian, bias_change)
     rotation = factors.rotation @ so3.exp(correction[:, :3])
     residual = np.empty((len(bias), 9))
     residual[:, :3] = so3.log(rotation.mT @ current.rotation)
@@ -365,6 +373,7 @@ def _jacobians(
     v_i = slice(12, 15)
     bias_i = slice(15, 21)
     v_j = slice(21, 24)
+    bias_j = slice(24, 30)
     # C ← Exp(φ) C at both ends, so that R_ij ← Exp(φ_i) R_ij Exp(−φ_j) = R_ij Exp(R_ijᵀ φ_i − φ_j).
     # So δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
     inverse_right = np.linalg.inv(so3.left_jacobian(-delta_phi))
@@ -384,11 +393,14 @@ def _jacobians(
     jacobian[:, rows_v, v_i] = -C_i
     jacobian[:, rows_p, v_i] = -dt * C_i
     jacobian[:, rows_v, v_j] = C_i
-    # The bias of the first frame counts for the whole interval. It turns ΔR on its right, and so
-    # ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
-    jacobian[:, :, bias_i] = -factors.bias_jacobian
+    # The bias goes from that of the first frame to that of the second. It turns ΔR on its right,
+    # and so ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
+    by_bias_j = -factors.bias_change_jacobian
+    by_bias_i = -factors.bias_jacobian - by_bias_j
     inverse_left = np.linalg.inv(so3.left_jacobian(delta_phi))
-    jacobian[:, rows_r, bias_i] = -inverse_left @ factors.bias_jacobian[:, rows_r]
+    for columns, by_bias in ((bias_i, by_bias_i), (bias_j, by_bias_j)):
+        jacobian[:, :, columns] = by_bias
+        jacobian[:, rows_r, columns] = inverse_left @ by_bias[:, rows_r]
     # δv has −C_i g T, and δp has −½ C_i g T².
     gravity_jacobian = C_i @ gravity_change
     jacobian[:, rows_v, -GRAVITY:] = -dt * gravity_jacobian

@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE
-from probevo.estimation.window.inertial_equations import linearized
+from probevo.estimation.window.inertial_equations import linearized, walk_variances
 from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
@@ -22,7 +22,8 @@ class InertialPrediction(NamedTuple):
     T_curr_prev: FloatArray
     """[4, 4], m."""
     cov_of_states: FloatArray
-    """Covariance of its left perturbation from pose, velocity, biases and gravity, [6, 6]."""
+    """Covariance of its left perturbation from pose, velocity, biases and their walk, and gravity,
+    [6, 6]."""
     cov_of_samples: FloatArray
     """The same from the noise of the samples, [6, 6]."""
     velocity: FloatArray
@@ -100,8 +101,13 @@ def _predicted_covariances(
     jacobian = jacobians[0]
     # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, gravity.
     at_state = GRAVITY + STATE * last
-    # New pose and velocity follow from the old states and the noise: from J_u u + J_g g = noise,
-    # u = −J_u⁻¹ J_g g + J_u⁻¹ noise. Gravity has the last two columns.
+    # The bias at the end is that at the start and what it has walked meanwhile.
+    bias_i = slice(2 * POSE + 3, 2 * POSE + STATE)
+    bias_j = slice(2 * POSE + STATE + 3, 2 * POSE + 2 * STATE)
+    jacobian[:, bias_i] += jacobian[:, bias_j]
+    # New pose and velocity follow from the old states, the walk and the noise: from
+    # J_u u + J_g g + J_w w = noise, u = −J_u⁻¹ J_g g − J_u⁻¹ J_w w + J_u⁻¹ noise. Gravity has the
+    # last two columns.
     unknown = np.r_[np.arange(POSE, 2 * POSE), 2 * POSE + STATE + np.arange(3)]
     given = np.r_[np.arange(POSE), 2 * POSE + np.arange(STATE), -2, -1]
     inverse = np.linalg.inv(jacobian[:, unknown])
@@ -117,10 +123,13 @@ def _predicted_covariances(
     # The motion is the new pose less the last one: ξ = ξ_new − Ad(T) ξ_last.
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
+    cov_of_states = relative @ cov @ relative.T
+    if window.inertial.calibration is not None:
+        walk = walk_variances(window.inertial.calibration, np.array([factor.duration_s]))[0]
+        by_walk = inverse[:POSE] @ jacobian[:, bias_j]
+        cov_of_states += (by_walk * walk) @ by_walk.T
     noise_jacobian = inverse[:POSE]
-    return _symmetric(relative @ cov @ relative.T), _symmetric(
-        noise_jacobian @ factor.cov @ noise_jacobian.T
-    )
+    return _symmetric(cov_of_states), _symmetric(noise_jacobian @ factor.cov @ noise_jacobian.T)
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

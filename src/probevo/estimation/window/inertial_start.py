@@ -132,6 +132,7 @@ def fit_inertial_states(
             design[here, 3 * at : 3 * at + 3] = state_jacobian[:, :3]
             design[here, 3 * at + 3 : 3 * at + 6] = state_jacobian[:, STATE : STATE + 3]
             design[here, bias_columns] = state_jacobian[:, 3:STATE]
+            design[here, bias_columns] += state_jacobian[:, STATE + 3 : 2 * STATE]
             # ∂δv/∂g = −T C_i and ∂δp/∂g = −½ T² C_i.
             # Gravity is free here, in its length, too, and not only across itself.
             C_i = T_linear[at, :3, :3]
