@@ -11,6 +11,7 @@ from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import (
+    NUM_ERRORS,
     NoPreintegration,
     Preintegration,
     preintegrate,
@@ -108,6 +109,26 @@ def test_bias_jacobians_are_central_differences() -> None:
         behind = difference(integrated(imu, bias - step), here)
         numeric = (ahead - behind) / 2e-6
         np.testing.assert_allclose(here.bias_jacobian[:, column], numeric, atol=1e-8)
+
+
+def test_jacobians_of_calibration_errors_are_central_differences() -> None:
+    """Of mounting, delay and both scales, in the order of the columns; samples are given 1/1000 s
+    apart, so that those next to the ends are those at the ends."""
+    stamps_ns = np.arange(START_NS - PERIOD_NS, END_NS + PERIOD_NS + 1, 1_000_000)
+
+    def wrong(errors: FloatArray) -> Preintegration:
+        """Preintegrate what an IMU with these errors would have to be corrected to."""
+        t_s = 1e-9 * (stamps_ns - START_NS).astype(np.float64) + errors[3]
+        phase = t_s[:, None] * np.array([7.0, 11.0, 5.0]) + np.array([0.3, 1.0, 2.0])
+        C = so3.exp(errors[:3])
+        rates = (1.0 + errors[4]) * (1.5 * np.sin(phase)) @ C.T
+        forces = (1.0 + errors[5]) * (4.0 * np.cos(phase) + np.array([0.5, -9.0, 2.0])) @ C.T
+        return integrated(ImuSamples(stamps_ns, rates @ C_CAM_IMU, forces @ C_CAM_IMU))
+
+    here = wrong(np.zeros(NUM_ERRORS))
+    for column, step in enumerate(1e-4 * np.eye(NUM_ERRORS)):
+        numeric = difference(wrong(step), wrong(-step)) / 2e-4
+        np.testing.assert_allclose(here.error_jacobian[:, column], numeric, rtol=0.02, atol=0.01)
 
 
 def test_covariance_is_that_of_noisy_samples() -> None:

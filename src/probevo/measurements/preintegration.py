@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.geometry import so3
 from probevo.measurements.gyro import means_between
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration_numba import (
@@ -48,6 +49,11 @@ MIN_ACCEL_NOISE_M_S2_SQRT_HZ = 1e-6
 """Least noise densities, below those of the best sensors: a simulated IMU may have none at all, and
 the covariance of a preintegration must have an inverse."""
 NO_BIAS = np.zeros(6)
+NUM_ERRORS = 6
+"""Errors of the calibration that act on the samples. If ω̂(t) and f̂(t) are the rates and forces
+that are summed up, the true ones are (1 + s_g) Exp(θ) ω̂(t + τ) and (1 + s_f) Exp(θ) f̂(t + τ). In
+the order of columns: the mounting θ, rad; the delay τ of the stamps, s; and the errors of scale s_g
+of the gyro and s_f of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,8 @@ class Preintegration:
     bias_change_jacobian: FloatArray
     """Derivative with respect to the change of the bias from the start to the end, [9, 6]: between
     two known values, a random walk is a straight line in the mean."""
+    error_jacobian: FloatArray
+    """Derivative with respect to the errors of the calibration, ``NUM_ERRORS``, [9, 6]."""
     bias: FloatArray
     """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, that were taken off,
     [6]."""
@@ -145,6 +153,7 @@ def preintegrate(
         cov=np.zeros((9, 9)),
         bias_jacobian=np.zeros((9, 6)),
         bias_change_jacobian=np.zeros((9, 6)),
+        gyro_scale_jacobian=np.zeros(9),
     )
     densities = NoiseDensities(
         gyro=max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
@@ -152,7 +161,8 @@ def preintegrate(
         gyro_walk=float(calibration.gyro_bias_walk_rad_s2_sqrt_hz),
         accel_walk=float(calibration.accel_bias_walk_m_s3_sqrt_hz),
     )
-    preintegrate_samples(MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]), densities, sums)
+    samples = MeanSamples(steps_s, rates - bias[:3], forces - bias[3:])
+    preintegrate_samples(samples, densities, sums)
     if not all(np.isfinite(part).all() for part in sums):
         text = "has rates or forces whose integral is not finite"
         return NoPreintegration(ImuReason(ImuFault.INTEGRAL_NOT_FINITE, text))
@@ -164,9 +174,36 @@ def preintegrate(
         cov=0.5 * (sums.cov + sums.cov.T),
         bias_jacobian=sums.bias_jacobian,
         bias_change_jacobian=sums.bias_change_jacobian,
+        error_jacobian=_error_jacobian(sums, samples),
         bias=bias,
         lever_m=calibration.T_cam_imu[:3, 3],
     )
+
+
+def _error_jacobian(sums: PreintegrationSums, samples: MeanSamples) -> FloatArray:
+    """Return the derivative of (δφ, δv, δp) with respect to the errors of the calibration, [9, 6].
+
+    Args:
+        sums: ΔR, Δv and Δp of the interval.
+        samples: that they are made of.
+    """
+    jacobian = np.zeros((9, NUM_ERRORS))
+    # Turned by θ, ΔR, Δv and Δp are Exp(θ) ΔR Exp(−θ), Exp(θ) Δv and Exp(θ) Δp.
+    jacobian[:3, :3] = sums.rotation.T - np.eye(3)
+    jacobian[3:6, :3] = -so3.wedge(sums.velocity)
+    jacobian[6:, :3] = -so3.wedge(sums.position)
+    # Later by τ, the interval loses what is at its start and gains what is at its end, and the axes
+    # of its start turn by ω_i τ.
+    rate_i, rate_j = samples.rates_rad_s[[0, -1]]
+    force_i, force_j = samples.forces_m_s2[[0, -1]]
+    jacobian[:3, 3] = rate_j - sums.rotation.T @ rate_i
+    jacobian[3:6, 3] = sums.rotation @ force_j - force_i - np.cross(rate_i, sums.velocity)
+    jacobian[6:, 3] = sums.velocity - samples.steps_s.sum() * force_i
+    jacobian[6:, 3] -= np.cross(rate_i, sums.position)
+    jacobian[:, 4] = sums.gyro_scale_jacobian
+    jacobian[3:6, 5] = sums.velocity
+    jacobian[6:, 5] = sums.position
+    return jacobian
 
 
 def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReason | None:

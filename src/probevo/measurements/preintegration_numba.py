@@ -38,6 +38,8 @@ class PreintegrationSums(NamedTuple):
     """Derivative of (δφ, δv, δp) with respect to the biases of gyro and accelerometer, [9, 6]."""
     bias_change_jacobian: FloatArray
     """The same with respect to their change from start to end, [9, 6]."""
+    gyro_scale_jacobian: FloatArray
+    """The same with respect to the logarithm of the gyro's scale, [9]."""
 
 
 class NoiseDensities(NamedTuple):
@@ -141,6 +143,11 @@ def preintegrate_samples(
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
         copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
+        scaled = np.dot(A, sums.gyro_scale_jacobian)
+        for i in range(9):
+            for j in range(3):
+                scaled[i] += B[i, j] * rate[j]
+            sums.gyro_scale_jacobian[i] = scaled[i]
         # Σ ← A Σ Aᵀ + B N Bᵀ − A M Bᵀ − B Mᵀ Aᵀ, the last two for the walk. White noise of density
         # σ has the variance σ²/dt in the mean over a sub-interval.
         gyro_walk = densities.gyro_walk * densities.gyro_walk

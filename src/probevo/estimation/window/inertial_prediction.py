@@ -10,10 +10,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE
 from probevo.estimation.window.inertial_equations import linearized, walk_variances
-from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
+from probevo.estimation.window.inertial_states import COMMON, STATE, InertialStates
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
-from probevo.measurements.preintegration import Preintegration
+from probevo.measurements.preintegration import NUM_ERRORS, Preintegration
 
 
 class InertialPrediction(NamedTuple):
@@ -47,6 +47,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     dt = factor.duration_s
     C_i = window.T_cam_world[last, :3, :3]
     correction = factor.bias_jacobian @ (states.bias[last] - factor.bias)
+    correction += factor.error_jacobian @ states.calibration_errors[:NUM_ERRORS]
     gravity = states.gravity
     # The state at the end, by the equations that ``linearized`` sets to zero.
     rotation = factor.rotation @ so3.exp(correction[:3])
@@ -56,7 +57,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     velocity = states.velocity[last] + dt * gravity + change
     # The IMU is at l in both camera frames: p_prev = R_ij p_curr + s, and R_ij l + s is l plus the
     # displacement.
-    lever_m = factor.lever_m
+    lever_m = factor.lever_m + states.calibration_errors[NUM_ERRORS:]
     T_prev_curr = se3.from_parts(rotation, lever_m + displacement - rotation @ lever_m)
     T_curr_prev = se3.inverse(T_prev_curr)
     cov_of_states, cov_of_samples = _predicted_covariances(
@@ -99,23 +100,26 @@ def _predicted_covariances(
     )
     _, jacobians = linearized(pair, ends, [factor], np.array([0]))
     jacobian = jacobians[0]
-    # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, gravity.
-    at_state = GRAVITY + STATE * last
+    # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, and what
+    # all frames have in common.
+    at_state = COMMON + STATE * last
     # The bias at the end is that at the start and what it has walked meanwhile.
     bias_i = slice(2 * POSE + 3, 2 * POSE + STATE)
     bias_j = slice(2 * POSE + STATE + 3, 2 * POSE + 2 * STATE)
     jacobian[:, bias_i] += jacobian[:, bias_j]
     # New pose and velocity follow from the old states, the walk and the noise: from
-    # J_u u + J_g g + J_w w = noise, u = −J_u⁻¹ J_g g − J_u⁻¹ J_w w + J_u⁻¹ noise. Gravity has the
-    # last two columns.
+    # J_u u + J_g g + J_w w = noise, u = −J_u⁻¹ J_g g − J_u⁻¹ J_w w + J_u⁻¹ noise. What is in
+    # common has the last columns.
     unknown = np.r_[np.arange(POSE, 2 * POSE), 2 * POSE + STATE + np.arange(3)]
-    given = np.r_[np.arange(POSE), 2 * POSE + np.arange(STATE), -2, -1]
+    given = np.r_[
+        np.arange(POSE), 2 * POSE + np.arange(STATE), 2 * (POSE + STATE) + np.arange(COMMON)
+    ]
     inverse = np.linalg.inv(jacobian[:, unknown])
     sensitivity = -inverse @ jacobian[:, given]
     at_pose = window.pose_slice(last)
-    inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]  # gravity is first in x
-    # Joint covariance of the last pose, its velocity and biases, and gravity.
-    cov = np.empty((POSE + STATE + GRAVITY, POSE + STATE + GRAVITY))
+    inertial = np.r_[np.arange(at_state, at_state + STATE), np.arange(COMMON)]  # that is first in x
+    # Joint covariance of the last pose, its velocity and biases, and what is in common.
+    cov = np.empty((POSE + STATE + COMMON, POSE + STATE + COMMON))
     cov[:POSE, :POSE] = window.cov[at_pose, at_pose]
     cov[POSE:, :POSE] = states.cross_cov[inertial, at_pose]
     cov[:POSE, POSE:] = cov[POSE:, :POSE].T
