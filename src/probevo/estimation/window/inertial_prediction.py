@@ -22,8 +22,8 @@ class InertialPrediction(NamedTuple):
     T_curr_prev: FloatArray
     """[4, 4], m."""
     cov_of_states: FloatArray
-    """Covariance of its left perturbation from pose, velocity, biases and their walk, and gravity,
-    [6, 6]."""
+    """Covariance of its left perturbation from pose, velocity, biases and their walk, gravity, and
+    the calibration, [6, 6]."""
     cov_of_samples: FloatArray
     """The same from the noise of the samples, [6, 6]."""
     velocity: FloatArray
