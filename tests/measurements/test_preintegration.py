@@ -11,6 +11,7 @@ from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import (
+    NUM_ERRORS,
     NoPreintegration,
     Preintegration,
     preintegrate,
@@ -30,6 +31,17 @@ CALIBRATION = ImuCalibration(
     accel_noise_m_s2_sqrt_hz=2e-2,
     accel_bias_walk_m_s3_sqrt_hz=2e-3,
 )
+
+ACCEL_WALK = 3e-3
+"""As in EuRoC's sensor.yaml, m/s³/√Hz."""
+WALKING = replace(
+    CALIBRATION,
+    gyro_noise_rad_s_sqrt_hz=2e-4,
+    gyro_bias_walk_rad_s2_sqrt_hz=1e-4,
+    accel_noise_m_s2_sqrt_hz=2e-3,
+    accel_bias_walk_m_s3_sqrt_hz=ACCEL_WALK,
+)
+"""Of an IMU whose walks exceed its white noise within seconds."""
 
 
 def samples(rates: FloatArray, forces: FloatArray, period_ns: int = PERIOD_NS) -> ImuSamples:
@@ -99,6 +111,26 @@ def test_bias_jacobians_are_central_differences() -> None:
         np.testing.assert_allclose(here.bias_jacobian[:, column], numeric, atol=1e-8)
 
 
+def test_jacobians_of_calibration_errors_are_central_differences() -> None:
+    """Of mounting, delay and both scales, in the order of the columns; samples are given 1/1000 s
+    apart, so that those next to the ends are those at the ends."""
+    stamps_ns = np.arange(START_NS - PERIOD_NS, END_NS + PERIOD_NS + 1, 1_000_000)
+
+    def wrong(errors: FloatArray) -> Preintegration:
+        """Preintegrate what an IMU with these errors would have to be corrected to."""
+        t_s = 1e-9 * (stamps_ns - START_NS).astype(np.float64) + errors[3]
+        phase = t_s[:, None] * np.array([7.0, 11.0, 5.0]) + np.array([0.3, 1.0, 2.0])
+        C = so3.exp(errors[:3])
+        rates = (1.0 + errors[4]) * (1.5 * np.sin(phase)) @ C.T
+        forces = (1.0 + errors[5]) * (4.0 * np.cos(phase) + np.array([0.5, -9.0, 2.0])) @ C.T
+        return integrated(ImuSamples(stamps_ns, rates @ C_CAM_IMU, forces @ C_CAM_IMU))
+
+    here = wrong(np.zeros(NUM_ERRORS))
+    for column, step in enumerate(1e-4 * np.eye(NUM_ERRORS)):
+        numeric = difference(wrong(step), wrong(-step)) / 2e-4
+        np.testing.assert_allclose(here.error_jacobian[:, column], numeric, rtol=0.02, atol=0.01)
+
+
 def test_covariance_is_that_of_noisy_samples() -> None:
     """The average of δᵀ Σ⁻¹ δ over noisy samples lies in the 99.9 % interval of χ²(9).
 
@@ -155,9 +187,78 @@ def test_covariance_of_a_single_sub_interval_is_that_of_white_noise() -> None:
     assert np.linalg.eigvalsh(found.cov / np.outer(sigma, sigma)).min() > 0.01
 
 
+@pytest.mark.parametrize("duration_s", [1, 3, 10])
+def test_covariance_is_that_of_biases_that_walk(duration_s: int) -> None:
+    """The average of δᵀ Σ⁻¹ δ over 200 walks lies in the 99.9 % interval of χ²(9): with the biases
+    at both ends known, and with that at the end free to walk. Across gaps of seconds the walk is
+    most of it."""
+    rng = np.random.default_rng(2)
+    period_s = 0.02
+    stamps_ns = START_NS + np.arange(round(duration_s / period_s) + 1) * 20_000_000
+    angle = np.arange(len(stamps_ns))[:, None] * period_s + np.arange(3.0)
+    still = ImuSamples(stamps_ns, 0.3 * np.cos(angle), np.array([0.0, -9.8, 0.0]) + np.sin(angle))
+
+    def over_gap(imu: ImuSamples) -> Preintegration:
+        found = preintegrate(imu, int(stamps_ns[0]), int(stamps_ns[-1]), WALKING)
+        assert isinstance(found, Preintegration)
+        return found
+
+    def drawn(white: float, walk: float) -> tuple[FloatArray, FloatArray]:
+        """Errors of the samples, [J, 3], and how far their bias walks, [3]."""
+        steps = walk * np.sqrt(period_s) * rng.normal(size=(len(stamps_ns), 3))
+        steps[0] = 0.0
+        bias = np.cumsum(steps, axis=0)
+        noise = white / np.sqrt(period_s) * rng.normal(size=bias.shape)
+        return bias + noise, C_CAM_IMU @ bias[-1]
+
+    clean = over_gap(still)
+    by_change = clean.bias_change_jacobian
+    walks = np.repeat([WALKING.gyro_bias_walk_rad_s2_sqrt_hz, ACCEL_WALK], 3)
+    free = clean.cov + (by_change * walks**2 * duration_s) @ by_change.T
+    squared = []
+    for _ in range(200):
+        gyro, gyro_walked = drawn(
+            WALKING.gyro_noise_rad_s_sqrt_hz, WALKING.gyro_bias_walk_rad_s2_sqrt_hz
+        )
+        accel, accel_walked = drawn(WALKING.accel_noise_m_s2_sqrt_hz, ACCEL_WALK)
+        noisy = over_gap(ImuSamples(stamps_ns, still.gyro_rad_s + gyro, still.accel_m_s2 + accel))
+        error = difference(clean, noisy)
+        rest = error - by_change @ np.concatenate([gyro_walked, accel_walked])
+        squared.append(
+            [rest @ np.linalg.solve(clean.cov, rest), error @ np.linalg.solve(free, error)]
+        )
+    low, high = chi2_interval(dof=9, count=200)
+    assert (np.mean(squared, axis=0) > low).all()
+    assert (np.mean(squared, axis=0) < high).all()
+
+
+@pytest.mark.parametrize("duration_s", [0.1, 5.0])
+def test_what_walks_of_the_force_add_has_a_closed_form(duration_s: float) -> None:
+    """Without a turn, a walk of density σ adds σ² T³/12 to δv and σ² T⁵/45 to δp, with the biases
+    at both ends known, and their change counts for ½ T and T²/6."""
+    stamps_ns = START_NS + np.arange(round(duration_s / 0.01) + 1) * 10_000_000
+    still = np.zeros((len(stamps_ns), 3))
+    found = []
+    for walk in (ACCEL_WALK, 0.0):
+        calibration = replace(WALKING, accel_bias_walk_m_s3_sqrt_hz=walk)
+        imu = ImuSamples(stamps_ns, still, still)
+        part = preintegrate(imu, int(stamps_ns[0]), int(stamps_ns[-1]), calibration)
+        assert isinstance(part, Preintegration)
+        found.append(part)
+    added = np.diagonal(found[0].cov - found[1].cov)
+    np.testing.assert_allclose(added[3:6], ACCEL_WALK**2 * duration_s**3 / 12.0, rtol=1e-3)
+    np.testing.assert_allclose(added[6:], ACCEL_WALK**2 * duration_s**5 / 45.0, rtol=2e-2)
+    by_force = -found[0].bias_change_jacobian[:, 3:]
+    np.testing.assert_allclose(by_force[3:6], 0.5 * duration_s * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(by_force[6:], duration_s**2 / 6.0 * np.eye(3), rtol=1e-2)
+
+
 def test_covariance_grows_as_the_samples_average() -> None:
     """White noise of the rate turns by σ √T, whatever the sample period."""
-    found = integrated(samples(np.zeros(3), np.zeros(3)))
+    imu = samples(np.zeros(3), np.zeros(3))
+    steady = replace(CALIBRATION, gyro_bias_walk_rad_s2_sqrt_hz=0.0)
+    found = preintegrate(imu, START_NS, END_NS, steady)
+    assert isinstance(found, Preintegration)
     expected = CALIBRATION.gyro_noise_rad_s_sqrt_hz * np.sqrt(0.1)
     np.testing.assert_allclose(np.sqrt(np.diag(found.cov)[:3]), expected, rtol=1e-12)
 
@@ -292,7 +393,13 @@ def test_no_accelerometer_is_a_reason() -> None:
 def test_an_imu_without_noise_has_a_covariance_with_an_inverse() -> None:
     """A simulated one may have densities of 0; a window that could not invert would leave it
     out."""
-    perfect = replace(CALIBRATION, gyro_noise_rad_s_sqrt_hz=0.0, accel_noise_m_s2_sqrt_hz=0.0)
+    perfect = replace(
+        CALIBRATION,
+        gyro_noise_rad_s_sqrt_hz=0.0,
+        gyro_bias_walk_rad_s2_sqrt_hz=0.0,
+        accel_noise_m_s2_sqrt_hz=0.0,
+        accel_bias_walk_m_s3_sqrt_hz=0.0,
+    )
     found = preintegrate(random_samples(5), START_NS, END_NS, perfect)
     assert isinstance(found, Preintegration)
     np.testing.assert_allclose(np.linalg.inv(found.cov) @ found.cov, np.eye(9), atol=1e-6)

@@ -14,6 +14,10 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, invert_positive_definite
 
+MIN_EIGENVALUE = 1e-10
+"""Smallest eigenvalue, on a unit diagonal, that is not a matter of rounding: between the rounding
+of a sum, 1e-16 times a few hundred, and what a measurement adds."""
+
 
 def scaled_inverse(matrix: FloatArray) -> FloatArray:
     """Invert a symmetric matrix, [n, n], whose diagonal is positive; the inverse is symmetric.
@@ -23,6 +27,22 @@ def scaled_inverse(matrix: FloatArray) -> FloatArray:
     """
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
     inverse: FloatArray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    return 0.5 * (inverse + inverse.T)
+
+
+def scaled_pseudo_inverse(matrix: FloatArray) -> FloatArray:
+    """Invert a symmetric positive semi-definite matrix, [n, n], whose diagonal is positive, in its
+    range only.
+
+    Eigenvalues of the scaled matrix below ``MIN_EIGENVALUE`` count as zero. If the matrix is a
+    block M_bb of a semi-definite one, the columns of M_ba lie in its range, and the Schur
+    complement M_aa − M_ab M_bb⁺ M_ba is that of any state that gives M_bb an inverse.
+    """
+    scale = 1.0 / np.sqrt(np.diagonal(matrix))
+    values, directions = np.linalg.eigh(matrix * scale[:, None] * scale)
+    is_known = values > MIN_EIGENVALUE
+    known = directions[:, is_known] * scale[:, None]
+    inverse: FloatArray = (known / values[is_known]) @ known.T
     return 0.5 * (inverse + inverse.T)
 
 

@@ -37,6 +37,8 @@ class ImuFault(Enum):
     """χ² of the fit is too large."""
     WRONG_GRAVITY = "wrong_gravity"
     """The fit shows gravity of another length."""
+    LARGE_BIAS = "large_bias"
+    """The fit shows biases that the calibration does not allow for."""
     UNTESTABLE = "untestable"
     """The covariance of the poses is too large to be accurate."""
     SHORT_WINDOW = "short_window"

@@ -4,6 +4,10 @@ Forster, Carlone, Dellaert, Scaramuzza, "On-manifold preintegration for real-tim
 odometry", T-RO 2017. Everything is in the axes of the camera: rates and forces are turned by
 C_cam_imu first, so that the "body" is the IMU's place with the camera's axes, and ``lever_m`` away
 from the camera's centre.
+
+Biases walk within the interval, too. Given their values at both ends, which are states, what
+remains of the walk is a Brownian bridge: it counts as noise, so that preintegration and walk
+together are one joint factor of both frames, as long as the interval may be.
 """
 
 from __future__ import annotations
@@ -13,10 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.geometry import so3
 from probevo.measurements.gyro import means_between
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.preintegration_numba import (
     MeanSamples,
+    NoiseDensities,
     PreintegrationSums,
     preintegrate_samples,
 )
@@ -43,6 +49,11 @@ MIN_ACCEL_NOISE_M_S2_SQRT_HZ = 1e-6
 """Least noise densities, less than the best sensors have: a simulated IMU may have none at all, and
 the covariance of a preintegration must have an inverse."""
 NO_BIAS = np.zeros(6)
+NUM_ERRORS = 6
+"""Errors of the calibration that act on the samples. If ω̂(t) and f̂(t) are the rates and forces
+that are summed up, the true ones are (1 + s_g) Exp(θ) ω̂(t + τ) and (1 + s_f) Exp(θ) f̂(t + τ). In
+the order of columns: the mounting θ, rad; the delay τ of the stamps, s; and the errors of scale s_g
+of the gyro and s_f of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +75,15 @@ class Preintegration:
     position: FloatArray
     """Δp, [3], m."""
     cov: FloatArray
-    """Covariance of (δφ, δv, δp) from white noise, [9, 9]; the true rotation is ΔR Exp(δφ)."""
+    """Covariance of (δφ, δv, δp), [9, 9], given the biases at both ends: from white noise, and from
+    the random walk of the biases between the ends; the true rotation is ΔR Exp(δφ)."""
     bias_jacobian: FloatArray
     """Derivative of (δφ, δv, δp) with respect to ``bias``, [9, 6]."""
+    bias_change_jacobian: FloatArray
+    """Derivative with respect to the change of the bias from the start to the end, [9, 6]: between
+    two known values, a random walk is a straight line in the mean."""
+    error_jacobian: FloatArray
+    """Derivative with respect to the errors of the calibration, ``NUM_ERRORS``, [9, 6]."""
     bias: FloatArray
     """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, that were taken off,
     [6]."""
@@ -135,13 +152,17 @@ def preintegrate(
         position=np.zeros(3),
         cov=np.zeros((9, 9)),
         bias_jacobian=np.zeros((9, 6)),
+        bias_change_jacobian=np.zeros((9, 6)),
+        gyro_scale_jacobian=np.zeros(9),
     )
-    preintegrate_samples(
-        MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]),
-        max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
-        max(float(calibration.accel_noise_m_s2_sqrt_hz), MIN_ACCEL_NOISE_M_S2_SQRT_HZ),
-        sums,
+    densities = NoiseDensities(
+        gyro=max(float(calibration.gyro_noise_rad_s_sqrt_hz), MIN_GYRO_NOISE_RAD_S_SQRT_HZ),
+        accel=max(float(calibration.accel_noise_m_s2_sqrt_hz), MIN_ACCEL_NOISE_M_S2_SQRT_HZ),
+        gyro_walk=float(calibration.gyro_bias_walk_rad_s2_sqrt_hz),
+        accel_walk=float(calibration.accel_bias_walk_m_s3_sqrt_hz),
     )
+    samples = MeanSamples(steps_s, rates - bias[:3], forces - bias[3:])
+    preintegrate_samples(samples, densities, sums)
     if not all(np.isfinite(part).all() for part in sums):
         text = "has rates or forces whose integral is not finite"
         return NoPreintegration(ImuReason(ImuFault.INTEGRAL_NOT_FINITE, text))
@@ -152,9 +173,37 @@ def preintegrate(
         position=sums.position,
         cov=0.5 * (sums.cov + sums.cov.T),
         bias_jacobian=sums.bias_jacobian,
+        bias_change_jacobian=sums.bias_change_jacobian,
+        error_jacobian=_error_jacobian(sums, samples),
         bias=bias,
         lever_m=calibration.T_cam_imu[:3, 3],
     )
+
+
+def _error_jacobian(sums: PreintegrationSums, samples: MeanSamples) -> FloatArray:
+    """Return the derivative of (δφ, δv, δp) with respect to the errors of the calibration, [9, 6].
+
+    Args:
+        sums: ΔR, Δv and Δp of the interval.
+        samples: that they are made of.
+    """
+    jacobian = np.zeros((9, NUM_ERRORS))
+    # Turned by θ, ΔR, Δv and Δp are Exp(θ) ΔR Exp(−θ), Exp(θ) Δv and Exp(θ) Δp.
+    jacobian[:3, :3] = sums.rotation.T - np.eye(3)
+    jacobian[3:6, :3] = -so3.wedge(sums.velocity)
+    jacobian[6:, :3] = -so3.wedge(sums.position)
+    # Later by τ, the interval loses what is at its start and gains what is at its end, and the axes
+    # of its start turn by ω_i τ.
+    rate_i, rate_j = samples.rates_rad_s[[0, -1]]
+    force_i, force_j = samples.forces_m_s2[[0, -1]]
+    jacobian[:3, 3] = rate_j - sums.rotation.T @ rate_i
+    jacobian[3:6, 3] = sums.rotation @ force_j - force_i - np.cross(rate_i, sums.velocity)
+    jacobian[6:, 3] = sums.velocity - samples.steps_s.sum() * force_i
+    jacobian[6:, 3] -= np.cross(rate_i, sums.position)
+    jacobian[:, 4] = sums.gyro_scale_jacobian
+    jacobian[3:6, 5] = sums.velocity
+    jacobian[6:, 5] = sums.position
+    return jacobian
 
 
 def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> ImuReason | None:

@@ -33,9 +33,26 @@ class PreintegrationSums(NamedTuple):
     position: FloatArray
     """Δp, [3]."""
     cov: FloatArray
-    """Covariance of the errors (δφ, δv, δp), [9, 9]."""
+    """Covariance of the errors (δφ, δv, δp), [9, 9], given the biases at start and end."""
     bias_jacobian: FloatArray
     """Derivative of (δφ, δv, δp) with respect to the biases of gyro and accelerometer, [9, 6]."""
+    bias_change_jacobian: FloatArray
+    """The same with respect to their change from start to end, [9, 6]."""
+    gyro_scale_jacobian: FloatArray
+    """The same with respect to the logarithm of the gyro's scale, [9]."""
+
+
+class NoiseDensities(NamedTuple):
+    """How noisy gyro and accelerometer are."""
+
+    gyro: float
+    """White noise, rad/s/√Hz."""
+    accel: float
+    """White noise, m/s²/√Hz."""
+    gyro_walk: float
+    """Random walk of the bias, rad/s²/√Hz."""
+    accel_walk: float
+    """Random walk of the bias, m/s³/√Hz."""
 
 
 @compiled
@@ -56,7 +73,7 @@ def fill_exp(x: float, y: float, z: float, C: FloatArray, J: FloatArray) -> None
 
 @compiled
 def preintegrate_samples(
-    samples: MeanSamples, gyro_density: float, accel_density: float, sums: PreintegrationSums
+    samples: MeanSamples, densities: NoiseDensities, sums: PreintegrationSums
 ) -> None:
     """Integrate rates and forces in the axes of the start, with covariance and bias Jacobians.
 
@@ -64,10 +81,15 @@ def preintegrate_samples(
     errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63): over a
     sub-interval, δ ← A δ − B n, with n the errors, bias or noise, of its mean rate and force.
 
+    The biases walk meanwhile. Let w(t) be a walk of unit density. Its mean over a sub-interval from
+    t to t + dt has the variance t + ⅓ dt, and the covariance t + ½ dt with w at the end. So the
+    cross-covariance M of δ and w follows M ← A M − B (t + ½ dt). At the end T of the interval, the
+    change w(T) of the bias moves the mean of δ by M/T w(T), and if it is known, the covariance of δ
+    is smaller by M Mᵀ/T: what is left is that of a Brownian bridge.
+
     Args:
         samples: of the sub-intervals, in the order of time.
-        gyro_density: white noise of the gyro, rad/s/√Hz.
-        accel_density: white noise of the accelerometer, m/s²/√Hz.
+        densities: of noise and walks.
         sums: receives the result.
     """
     whole = np.empty((3, 3))
@@ -77,6 +99,9 @@ def preintegrate_samples(
     A = np.zeros((9, 9))
     B = np.zeros((9, 6))
     noisy = np.empty((9, 6))
+    walk_sums = np.zeros((9, 6))
+    walk_cov = np.empty((9, 6))
+    elapsed = 0.0
     rotation = sums.rotation
     for index in range(len(samples.steps_s)):
         dt = samples.steps_s[index]
@@ -118,23 +143,47 @@ def preintegrate_samples(
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
         copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
-        # Σ ← A Σ Aᵀ + B N Bᵀ. White noise of density σ has the variance σ²/dt in the mean over a
-        # sub-interval.
-        gyro_sigma = gyro_density / math.sqrt(dt)
-        accel_sigma = accel_density / math.sqrt(dt)
+        scaled = np.dot(A, sums.gyro_scale_jacobian)
+        for i in range(9):
+            for j in range(3):
+                scaled[i] += B[i, j] * rate[j]
+            sums.gyro_scale_jacobian[i] = scaled[i]
+        # Σ ← A Σ Aᵀ + B N Bᵀ − A M Bᵀ − B Mᵀ Aᵀ, the last two for the walk. White noise of density
+        # σ has the variance σ²/dt in the mean over a sub-interval.
+        gyro_walk = densities.gyro_walk * densities.gyro_walk
+        accel_walk = densities.accel_walk * densities.accel_walk
+        mean_walk = elapsed + dt / 3.0
+        gyro_sigma = math.sqrt(densities.gyro * densities.gyro / dt + gyro_walk * mean_walk)
+        accel_sigma = math.sqrt(densities.accel * densities.accel / dt + accel_walk * mean_walk)
+        moved = np.dot(A, walk_sums)
         for i in range(9):
             for j in range(3):
                 noisy[i, j] = B[i, j] * gyro_sigma
                 noisy[i, 3 + j] = B[i, 3 + j] * accel_sigma
-        copy_into(sums.cov, np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T))
+                walk_cov[i, j] = moved[i, j] * gyro_walk
+                walk_cov[i, 3 + j] = moved[i, 3 + j] * accel_walk
+        crossed = np.dot(walk_cov, B.T)
+        copy_into(
+            sums.cov,
+            np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T) - crossed - crossed.T,
+        )
+        copy_into(walk_sums, moved - B * (elapsed + 0.5 * dt))
+        elapsed += dt
         # B moves position and velocity by the mean force alone, δp = ½ dt δv, which gives δp the
         # variance σ² dt³/4. That of white noise is σ² dt³/3: its mean does not tell all of δp.
         # Without the rest, the covariance of a single sub-interval would be singular.
         for i in range(6, 9):
-            sums.cov[i, i] += accel_density * accel_density * dt * dt * dt / 12.0
+            sums.cov[i, i] += densities.accel * densities.accel * dt * dt * dt / 12.0
         # The sums themselves come last: A and B are those at the start of the sub-interval.
         acceleration = np.dot(middle, force)
         for i in range(3):
             sums.position[i] += sums.velocity[i] * dt + 0.5 * acceleration[i] * dt * dt
             sums.velocity[i] += acceleration[i] * dt
         copy_into(rotation, np.dot(rotation, whole))
+    # Given the change of the biases, M/T of it is known, and M Mᵀ/T of the variance goes.
+    for i in range(9):
+        for j in range(6):
+            density = densities.gyro_walk if j < 3 else densities.accel_walk
+            sums.bias_change_jacobian[i, j] = walk_sums[i, j] / elapsed
+            walk_cov[i, j] = walk_sums[i, j] * density / math.sqrt(elapsed)
+    copy_into(sums.cov, sums.cov - np.dot(walk_cov, walk_cov.T))

@@ -21,15 +21,21 @@ from probevo.estimation.window.inertial_equations import linearized, walk_varian
 from probevo.estimation.window.inertial_prediction import predicted
 from probevo.estimation.window.inertial_start import InertialFit
 from probevo.estimation.window.inertial_states import (
+    COMMON,
+    STATE,
+    InertialStates,
+    moved,
+)
+from probevo.estimation.window.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
-from probevo.estimation.window.inertial_states import STATE, InertialStates, moved
 from probevo.estimation.window.inertial_steps import (
     NO_SOLUTION,
     UNTESTABLE,
     initialize_states,
     preintegrate_samples,
     system_of,
+    without_imu,
 )
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
@@ -105,11 +111,11 @@ def test_jacobians_are_central_differences(run: Run) -> None:
 
     def residuals(at: int, column: int, size: float) -> FloatArray:
         xi = np.zeros((len(window), POSE))
-        x = np.zeros(GRAVITY_DIMENSIONS + STATE * len(window))
+        x = np.zeros(COMMON + STATE * len(window))
         if column < 2 * POSE:
             xi[at + column // POSE, column % POSE] = size
         elif column < 2 * (POSE + STATE):
-            x[GRAVITY_DIMENSIONS + STATE * at + column - 2 * POSE] = size
+            x[COMMON + STATE * at + column - 2 * POSE] = size
         else:
             x[column - 2 * (POSE + STATE)] = size
         turned = replace(window, T_cam_world=se3.exp(xi) @ window.T_cam_world)
@@ -233,10 +239,10 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
 
 
 def _gauge(window: Window, states: InertialStates) -> FloatArray:
-    """Return shifts and turns of the world, in the joint vector, [6K + 4 + 2 + 9K, 6]."""
+    """Return shifts and turns of the world, in the joint vector, [6K + 4 + 11 + 9K, 6]."""
     poses = se3.adjoint(window.T_linear).reshape(-1, POSE)
     inertial = np.zeros((len(states.vector), POSE))
-    of_frames = inertial[GRAVITY_DIMENSIONS:].reshape(len(window), STATE, POSE)
+    of_frames = inertial[COMMON:].reshape(len(window), STATE, POSE)
     # Under a turn −ω of the world, velocities and gravity move by −ω × v.
     of_frames[:, :3, 3:] = so3.wedge(states.velocity_linear)
     inertial[:GRAVITY_DIMENSIONS, 3:] = -states.across.T
@@ -304,6 +310,63 @@ def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
         errors_without.append(np.linalg.norm((se3.inverse(truth[-1]) @ alone.T_world_cam)[:3, 3]))
     assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
     assert np.mean(errors) < np.mean(errors_without)
+
+
+def scaled_force(frame: Frame) -> Frame:
+    if frame.imu is None:
+        return frame
+    return replace(frame, imu=replace(frame.imu, accel_m_s2=1.02 * frame.imu.accel_m_s2))
+
+
+def scaled_rate(frame: Frame) -> Frame:
+    if frame.imu is None:
+        return frame
+    return replace(frame, imu=replace(frame.imu, gyro_rad_s=1.03 * frame.imu.gyro_rad_s))
+
+
+def unchanged(frame: Frame) -> Frame:
+    return frame
+
+
+def mounted_off(calibration: ImuCalibration) -> ImuCalibration:
+    """By 2.5° and 6 cm."""
+    off = se3.from_parts(so3.exp(np.array([0.02, -0.03, 0.025])), np.array([0.04, 0.04, -0.02]))
+    return replace(calibration, T_cam_imu=off @ calibration.T_cam_imu)
+
+
+@pytest.mark.parametrize(
+    ("change", "calibration"),
+    [
+        (scaled_force, CALIBRATION),
+        (scaled_rate, CALIBRATION),
+        (unchanged, mounted_off(CALIBRATION)),
+    ],
+)
+def test_errors_of_the_calibration_that_pass_the_tests_are_learned(
+    change: Callable[[Frame], Frame], calibration: ImuCalibration
+) -> None:
+    """The IMU stays in use, the path is no worse than that of the images alone, and the direction
+    of gravity is consistent: the average NEES over two drives is below three times its
+    dimensions."""
+    squared = []
+    errors_m = []
+    errors_without_m = []
+    for seed in (80, 82):
+        frames, truth = drive_of(seed, 24, swing=2.0)
+        by = odometry(calibration)
+        without = odometry(calibration=None)
+        for frame in frames:
+            last = by.step(change(frame))
+            alone = without.step(replace(frame, imu=None))
+        assert by.window is not None
+        assert by.window.inertial.is_used
+        states = states_of(by.window)
+        tilt = states.across.T @ so3.log(_shortest_turn(states.gravity, GRAVITY))
+        squared.append(tilt @ np.linalg.solve(states.cov[:2, :2], tilt))
+        errors_m.append(np.linalg.norm((se3.inverse(truth[-1]) @ last.T_world_cam)[:3, 3]))
+        errors_without_m.append(np.linalg.norm((se3.inverse(truth[-1]) @ alone.T_world_cam)[:3, 3]))
+    assert np.mean(squared) < 3.0 * 2.0
+    assert np.mean(errors_m) < 1.1 * np.mean(errors_without_m)
 
 
 def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
@@ -470,7 +533,12 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change, window_f
 def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
     """χ² of 6.25 per degree of freedom is that of 2.5 times the standard deviation."""
     fit = InertialFit(
-        states_of(run[2]), chi2=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
+        states_of(run[2]),
+        chi2=625.0,
+        dof=100,
+        bias_chi2=5.0,
+        gravity_m_s2=9.81,
+        gravity_sigma_m_s2=0.1,
     )
     noisy = fit.reason_against(4.0)
     assert noisy is not None
@@ -480,6 +548,22 @@ def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
     assert wrong is not None
     assert wrong.fault is noisy.fault is ImuFault.CONTRADICTION
     assert "noise densities" not in wrong.text
+
+
+def test_biases_that_the_calibration_does_not_allow_for_are_named() -> None:
+    """A gyro whose bias is 6σ: among 54 degrees of freedom, its χ² would pass."""
+    frames, _ = drive_of(42, 8)
+    biased = [
+        frame
+        if frame.imu is None
+        else replace(
+            frame, imu=replace(frame.imu, gyro_rad_s=frame.imu.gyro_rad_s + 0.12 * np.eye(3)[0])
+        )
+        for frame in frames
+    ]
+    by = odometry()
+    estimates = [by.step(frame) for frame in biased]
+    assert "check gyro_bias_sigma_rad_s" in estimates[-1].imu_left_out
 
 
 def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
@@ -706,6 +790,27 @@ def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
     sigma_m = np.sqrt(np.trace(estimates[-1].cov_cam_world[:3, :3]))
     off = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
     assert np.linalg.norm(off[:3, 3]) < 3.0 * sigma_m
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_stay_known_where_the_imu_is_left_out_behind_the_first_frame(seed: int) -> None:
+    """The prior then holds the one factor of the frame that has left, and does not know all of
+    velocity, biases and gravity. What it says of the poses is semi-definite none the less, and no
+    more than with the IMU."""
+    frames, _ = drive_of(seed, 9)
+    by = odometry()
+    for frame in frames:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    assert window.inertial.is_used
+    assert window.frames[0] == 1
+    poses = slice(0, POSE * len(window))
+    before = window.prior.information[poses, poses]
+    after = without_imu(window, NO_SOLUTION).prior.information[poses, poses]
+    largest = np.linalg.eigvalsh(before)[-1]
+    assert np.linalg.eigvalsh(after)[0] > -1e-12 * largest
+    assert np.linalg.eigvalsh(before - after)[0] > -1e-12 * largest
 
 
 def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from inertial_worlds import CALIBRATION, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
-from probevo.estimation.window.inertial import Inertial
+from probevo.estimation.window.inertial import MAX_EXCESS, NUM_TESTED, Inertial
 from probevo.estimation.window.inertial_noise import (
     MEDIAN_SQUARED,
     InertialInnovation,
@@ -54,6 +54,22 @@ def test_noise_factor_is_found_from_many_innovations() -> None:
 def test_noise_factor_is_at_least_that_of_the_data_sheet() -> None:
     small = InertialInnovation(whitened_sq=np.full(6, 0.1 * MEDIAN_SQUARED / 6.0), noise=np.ones(6))
     assert estimated_noise_factor([small], largest=16.0) == 1.0
+
+
+@pytest.mark.parametrize(("factor", "is_left_out"), [(6.0, False), (36.0, False), (144.0, True)])
+def test_an_imu_that_is_not_left_out_claims_the_noise_that_it_shows(
+    factor: float, is_left_out: bool
+) -> None:
+    """Where the noise of its samples is nearly all that it differs by from the images."""
+    noise = 100.0
+    whitened_sq = np.full(6, (1.0 + factor * noise) * MEDIAN_SQUARED / 6.0)
+    inertial = Inertial(CALIBRATION)
+    for _ in range(NUM_TESTED):
+        innovation = InertialInnovation(whitened_sq, noise=np.full(6, noise))
+        inertial = inertial.tested(innovation, is_gated=False)
+    assert (inertial.excess > MAX_EXCESS) == is_left_out
+    if not is_left_out:
+        assert inertial.noise_factor == pytest.approx(factor, rel=0.01)
 
 
 @pytest.mark.parametrize("damage", ["difference", "others", "indefinite"])

@@ -30,8 +30,15 @@ if TYPE_CHECKING:
     from probevo.estimation.window.inertial_prediction import InertialPrediction
     from probevo.estimation.window.window import Window
 
-MAX_NOISE_FACTOR = 16.0
-"""Largest factor of the samples' variances: four times the standard deviation of the data sheet."""
+USUAL_NOISE_FACTOR = 16.0
+"""Largest factor of the samples' variances on a vehicle: four times the standard deviation of the
+data sheet. An IMU is left out where even with it the variances are too small by ``MAX_EXCESS``."""
+MAX_EXCESS = 4.0
+"""Largest χ² over its degrees of freedom, at the start and later: what factors and images together
+may be noisier than they say."""
+MAX_NOISE_FACTOR = USUAL_NOISE_FACTOR * MAX_EXCESS
+"""Largest factor that is used. It is the one beyond which an IMU is left out, if the noise of the
+samples is most of what it differs by: an IMU that is used claims the noise that it has shown."""
 NUM_TESTED = 20
 """Last factors over which the noise is estimated, and those beyond the gate are counted."""
 MIN_INNOVATIONS = 8
@@ -165,11 +172,11 @@ class Inertial:
 
     @property
     def excess(self) -> float:
-        """By how much the covariances of the last innovations, with ``noise_factor``, are still too
-        small in the median; 1 if they are right."""
+        """By how much the covariances of the last innovations, with the largest usual noise factor,
+        are still too small in the median; at most 1 if that explains them."""
         if len(self.innovations) < MIN_INNOVATIONS:
             return 1.0
-        return median_excess(self.innovations, self.noise_factor)
+        return median_excess(self.innovations, USUAL_NOISE_FACTOR)
 
     @property
     def mean_excess(self) -> float:

@@ -14,12 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.scaled_inverse import scaled_inverse
+from probevo.estimation.scaled_inverse import scaled_inverse, scaled_pseudo_inverse
 from probevo.estimation.window.equations import POSE, RIG, WindowEquations
-from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
+from probevo.estimation.window.inertial_states import (
+    COMMON,
+    STATE,
+    InertialStates,
+)
 from probevo.estimation.window.window import MarginalPrior, Window
 from probevo.geometry import so3
-from probevo.measurements.preintegration import Preintegration
+from probevo.measurements.preintegration import NUM_ERRORS, Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
 
 MIN_INFORMATION = 1e-6
@@ -55,7 +59,7 @@ def walk_variances(calibration: ImuCalibration, durations_s: FloatArray) -> Floa
 class InertialSystem(NamedTuple):
     """The normal equations of poses, rig and inertial states, without the window's own prior.
 
-    Over p = 6K + 4 degrees of freedom of poses and rig, and q = 2 + 9K inertial ones."""
+    Over p = 6K + 4 degrees of freedom of poses and rig, and q = 11 + 9K inertial ones."""
 
     cost: float
     hessian: FloatArray
@@ -112,7 +116,7 @@ def inertial_system(
     num_pairs = len(factors) if num_pairs is None else num_pairs
     count = len(window)
     p = POSE * count + RIG
-    q = GRAVITY + STATE * count
+    q = COMMON + STATE * count
     hessian = np.zeros((p + q, p + q))
     gradient = np.zeros(p + q)
     # The joint prior, but for the part of poses and rig alone, which is the window's own.
@@ -151,7 +155,9 @@ def inertial_system(
     diagonal = np.diagonal(inertial)
     unmeasured = np.flatnonzero(diagonal < MIN_INFORMATION)
     inertial[unmeasured, unmeasured] = MIN_INFORMATION
-    own = scaled_inverse(inertial)
+    # Without any pair the prior is all there is, and need not know every combination of the states:
+    # of one frame that has been marginalised, it holds the single factor that connected it.
+    own = scaled_inverse(inertial) if num_pairs else scaled_pseudo_inverse(inertial)
     return InertialSystem(
         cost=cost, hessian=hessian, gradient=gradient, gain=own @ hessian[p:, :p], own=own
     )
@@ -162,8 +168,8 @@ def _places(at: int, p: int) -> IntArray:
     return np.concatenate(
         [
             np.arange(POSE * at, POSE * (at + 2)),
-            p + GRAVITY + np.arange(STATE * at, STATE * (at + 2)),
-            p + np.arange(GRAVITY),
+            p + COMMON + np.arange(STATE * at, STATE * (at + 2)),
+            p + np.arange(COMMON),
         ]
     )
 
@@ -175,7 +181,7 @@ def _add_walks(
     cost = 0.0
     for at, variance in enumerate(variances):
         change = states.bias[at + 1] - states.bias[at]
-        first = GRAVITY + STATE * at + 3 + np.arange(6)
+        first = COMMON + STATE * at + 3 + np.arange(6)
         second = first + STATE
         hessian[first, first] += 1.0 / variance
         hessian[second, second] += 1.0 / variance
@@ -209,14 +215,20 @@ def linearized(
 
     Returns:
         Residuals (δφ, δv, δp), [F, 9], at the current values, and Jacobians with respect to both
-        poses, velocity and biases at both ends, and gravity, [F, 9, 6 + 6 + 9 + 9 + 2], at the
-        linearisation points.
+        poses, velocity and biases at both ends, gravity, and the errors of the calibration,
+        [F, 9, 6 + 6 + 9 + 9 + 11], at the linearisation points.
     """
-    measured = _Factors.stacked(factors)
+    measured = _Factors.stacked(factors, states.calibration_errors[NUM_ERRORS:])
     current = _kinematics(
         measured, window.T_cam_world, first, velocity=states.velocity, gravity=states.gravity
     )
-    residual = _residuals(measured, current, states.bias[first])
+    # The samples were summed up with another bias, and without errors of the calibration; what that
+    # changes is taken to first order, as (δφ, δv, δp), [F, 9]: ΔR Exp(δφ), Δv + δv, Δp + δp.
+    bias = states.bias[first]
+    correction = _products(measured.bias_jacobian, bias - measured.bias)
+    correction += _products(measured.bias_change_jacobian, states.bias[first + 1] - bias)
+    correction += measured.error_jacobian @ states.calibration_errors[:NUM_ERRORS]
+    residual = _residuals(measured, current, correction)
     linear = _kinematics(
         measured,
         window.T_linear,
@@ -242,22 +254,28 @@ class _Factors(NamedTuple):
     """Δp, [F, 3], m."""
     bias_jacobian: FloatArray
     """Derivative of (δφ, δv, δp) with respect to ``bias``, [F, 9, 6]."""
+    bias_change_jacobian: FloatArray
+    """The same with respect to its change from the start to the end, [F, 9, 6]."""
+    error_jacobian: FloatArray
+    """The same with respect to the errors of the calibration, [F, 9, 6]."""
     bias: FloatArray
     """Biases that were taken off the samples, [F, 6], rad/s and m/s²."""
     lever_m: FloatArray
     """l: position of the IMU in the camera's frame, [F, 3], m."""
 
     @staticmethod
-    def stacked(factors: Sequence[Preintegration]) -> _Factors:
-        """Return the arrays of all factors."""
+    def stacked(factors: Sequence[Preintegration], lever_error_m: FloatArray) -> _Factors:
+        """Return the arrays of all factors, with the lever corrected, [3], m."""
         return _Factors(
             duration_s=np.array([factor.duration_s for factor in factors])[:, None],
             rotation=np.stack([factor.rotation for factor in factors]),
             velocity=np.stack([factor.velocity for factor in factors]),
             position=np.stack([factor.position for factor in factors]),
             bias_jacobian=np.stack([factor.bias_jacobian for factor in factors]),
+            bias_change_jacobian=np.stack([factor.bias_change_jacobian for factor in factors]),
+            error_jacobian=np.stack([factor.error_jacobian for factor in factors]),
             bias=np.stack([factor.bias for factor in factors]),
-            lever_m=np.stack([factor.lever_m for factor in factors]),
+            lever_m=np.stack([factor.lever_m for factor in factors]) + lever_error_m,
         )
 
 
@@ -314,19 +332,16 @@ def _kinematics(
     )
 
 
-def _residuals(factors: _Factors, current: _Kinematics, bias: FloatArray) -> FloatArray:
+def _residuals(factors: _Factors, current: _Kinematics, correction: FloatArray) -> FloatArray:
     """Return (δφ, δv, δp), [F, 9]: what the states say minus what the samples say.
 
     Args:
         factors: F preintegrations.
         current: kinematics at the current values.
-        bias: current biases at the start of each interval, [F, 6].
+        correction: of the preintegrations, by biases and calibration, (δφ, δv, δp), [F, 9].
     """
-    # The samples were summed up with another bias; what that changes is taken to first order, as
-    # (δφ, δv, δp), [F, 9]: ΔR Exp(δφ), Δv + δv, Δp + δp.
-    correction = _products(factors.bias_jacobian, bias - factors.bias)
     rotation = factors.rotation @ so3.exp(correction[:, :3])
-    residual = np.empty((len(bias), 9))
+    residual = np.empty((len(correction), 9))
     residual[:, :3] = so3.log(rotation.mT @ current.rotation)
     residual[:, 3:6] = current.velocity_change - correction[:, 3:6] - factors.velocity
     residual[:, 6:] = current.displacement - current.ballistic - correction[:, 6:]
@@ -337,7 +352,7 @@ def _residuals(factors: _Factors, current: _Kinematics, bias: FloatArray) -> Flo
 def _jacobians(
     factors: _Factors, linear: _Kinematics, delta_phi: FloatArray, gravity_change: FloatArray
 ) -> FloatArray:
-    """Return the Jacobians of the residuals, [F, 9, 6 + 6 + 9 + 9 + 2].
+    """Return the Jacobians of the residuals, [F, 9, 6 + 6 + 9 + 9 + 11].
 
     All is at the linearisation points, but for the Jacobians of Log: they are factors of the
     columns of both poses alike, so that what is unobservable remains so.
@@ -351,8 +366,9 @@ def _jacobians(
     C_i = linear.C_i
     R_ij = linear.rotation
     dt = factors.duration_s[..., None]
-    jacobian = np.zeros((len(delta_phi), 9, 2 * POSE + 2 * STATE + GRAVITY))
-    # Rows: δφ, δv, δp. Columns: ξ = [ρ; φ] of both poses, then (v, bias) of both, then gravity.
+    jacobian = np.zeros((len(delta_phi), 9, 2 * POSE + 2 * STATE + COMMON))
+    # Rows: δφ, δv, δp. Columns: ξ = [ρ; φ] of both poses, then (v, bias) of both, then what all
+    # frames have in common: gravity, errors of the samples, lever.
     rows_r = slice(0, 3)
     rows_v = slice(3, 6)
     rows_p = slice(6, 9)
@@ -363,6 +379,10 @@ def _jacobians(
     v_i = slice(12, 15)
     bias_i = slice(15, 21)
     v_j = slice(21, 24)
+    bias_j = slice(24, 30)
+    gravity = slice(30, 32)
+    errors = slice(32, 38)
+    lever = slice(38, 41)
     # C ← Exp(φ) C at both ends, so that R_ij ← Exp(φ_i) R_ij Exp(−φ_j) = R_ij Exp(R_ijᵀ φ_i − φ_j).
     # So δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
     inverse_right = np.linalg.inv(so3.left_jacobian(-delta_phi))
@@ -382,15 +402,19 @@ def _jacobians(
     jacobian[:, rows_v, v_i] = -C_i
     jacobian[:, rows_p, v_i] = -dt * C_i
     jacobian[:, rows_v, v_j] = C_i
-    # The bias of the first frame counts for the whole interval. It turns ΔR on its right, and so
-    # ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
-    jacobian[:, :, bias_i] = -factors.bias_jacobian
+    # The bias goes from that of the first frame to that of the second. It turns ΔR on its right,
+    # and so ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
+    jacobian[:, :, bias_i] = factors.bias_change_jacobian - factors.bias_jacobian
+    jacobian[:, :, bias_j] = -factors.bias_change_jacobian
+    jacobian[:, :, errors] = -factors.error_jacobian
     inverse_left = np.linalg.inv(so3.left_jacobian(delta_phi))
-    jacobian[:, rows_r, bias_i] = -inverse_left @ factors.bias_jacobian[:, rows_r]
+    for columns in (bias_i, bias_j, errors):
+        jacobian[:, rows_r, columns] = inverse_left @ jacobian[:, rows_r, columns]
+    jacobian[:, rows_p, lever] = R_ij - np.eye(3)
     # δv has −C_i g T, and δp has −½ C_i g T².
     gravity_jacobian = C_i @ gravity_change
-    jacobian[:, rows_v, -GRAVITY:] = -dt * gravity_jacobian
-    jacobian[:, rows_p, -GRAVITY:] = -0.5 * dt**2 * gravity_jacobian
+    jacobian[:, rows_v, gravity] = -dt * gravity_jacobian
+    jacobian[:, rows_p, gravity] = -0.5 * dt**2 * gravity_jacobian
     return jacobian
 
 
@@ -409,7 +433,7 @@ def without_first_frame(
         states: of K frames.
         others: equations of poses and rig from all but ``system``, at the current values.
         system: what inertial states and their prior add, with the first factor alone.
-        x: offsets of poses and rig, [6K + 4], and the inertial vector, [2 + 9K].
+        x: offsets of poses and rig, [6K + 4], and the inertial vector, [11 + 9K].
 
     Returns:
         The prior of the poses that remain and the rig, and the states that remain, with the rest
@@ -422,10 +446,11 @@ def without_first_frame(
     gradient[:p] += others.gradient
     # At the offsets x, gradient = η − Λ x of the prior that includes what goes.
     vector = gradient + hessian @ x
-    # What goes is its block of the joint prior over (poses, rig, gravity, states of each frame).
+    # What goes is its block of the joint prior over (poses, rig, what frames have in common, states
+    # of each frame).
     goes = np.zeros(len(x), np.bool_)
     goes[:POSE] = True
-    goes[p + GRAVITY : p + GRAVITY + STATE] = True
+    goes[p + COMMON : p + COMMON + STATE] = True
     gone = hessian[np.ix_(goes, goes)]
     unmeasured = np.flatnonzero(np.diagonal(gone) < MIN_INFORMATION)
     gone[unmeasured, unmeasured] = MIN_INFORMATION

@@ -9,11 +9,11 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import POSE
-from probevo.estimation.window.inertial_equations import linearized
-from probevo.estimation.window.inertial_states import GRAVITY, STATE, InertialStates
+from probevo.estimation.window.inertial_equations import linearized, walk_variances
+from probevo.estimation.window.inertial_states import COMMON, STATE, InertialStates
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
-from probevo.measurements.preintegration import Preintegration
+from probevo.measurements.preintegration import NUM_ERRORS, Preintegration
 
 
 class InertialPrediction(NamedTuple):
@@ -22,7 +22,8 @@ class InertialPrediction(NamedTuple):
     T_curr_prev: FloatArray
     """[4, 4], m."""
     cov_of_states: FloatArray
-    """Covariance of its left perturbation from pose, velocity, biases and gravity, [6, 6]."""
+    """Covariance of its left perturbation from pose, velocity, biases and their walk, gravity, and
+    the calibration, [6, 6]."""
     cov_of_samples: FloatArray
     """The same from the noise of the samples, [6, 6]."""
     velocity: FloatArray
@@ -46,6 +47,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     dt = factor.duration_s
     C_i = window.T_cam_world[last, :3, :3]
     correction = factor.bias_jacobian @ (states.bias[last] - factor.bias)
+    correction += factor.error_jacobian @ states.calibration_errors[:NUM_ERRORS]
     gravity = states.gravity
     # The state at the end, by the equations that ``linearized`` sets to zero.
     rotation = factor.rotation @ so3.exp(correction[:3])
@@ -55,7 +57,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     velocity = states.velocity[last] + dt * gravity + change
     # The IMU is at l in both camera frames: p_prev = R_ij p_curr + s, and R_ij l + s is l plus the
     # displacement.
-    lever_m = factor.lever_m
+    lever_m = factor.lever_m + states.calibration_errors[NUM_ERRORS:]
     T_prev_curr = se3.from_parts(rotation, lever_m + displacement - rotation @ lever_m)
     T_curr_prev = se3.inverse(T_prev_curr)
     cov_of_states, cov_of_samples = _predicted_covariances(
@@ -98,18 +100,26 @@ def _predicted_covariances(
     )
     _, jacobians = linearized(pair, ends, [factor], np.array([0]))
     jacobian = jacobians[0]
-    # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, gravity.
-    at_state = GRAVITY + STATE * last
-    # New pose and velocity follow from the old states and the noise: from J_u u + J_g g = noise,
-    # u = −J_u⁻¹ J_g g + J_u⁻¹ noise. Gravity has the last two columns.
+    # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, and what
+    # all frames have in common.
+    at_state = COMMON + STATE * last
+    # The bias at the end is that at the start and what it has walked meanwhile.
+    bias_i = slice(2 * POSE + 3, 2 * POSE + STATE)
+    bias_j = slice(2 * POSE + STATE + 3, 2 * POSE + 2 * STATE)
+    jacobian[:, bias_i] += jacobian[:, bias_j]
+    # New pose and velocity follow from the old states, the walk and the noise: from
+    # J_u u + J_g g + J_w w = noise, u = −J_u⁻¹ J_g g − J_u⁻¹ J_w w + J_u⁻¹ noise. What is in
+    # common has the last columns.
     unknown = np.r_[np.arange(POSE, 2 * POSE), 2 * POSE + STATE + np.arange(3)]
-    given = np.r_[np.arange(POSE), 2 * POSE + np.arange(STATE), -2, -1]
+    given = np.r_[
+        np.arange(POSE), 2 * POSE + np.arange(STATE), 2 * (POSE + STATE) + np.arange(COMMON)
+    ]
     inverse = np.linalg.inv(jacobian[:, unknown])
     sensitivity = -inverse @ jacobian[:, given]
     at_pose = window.pose_slice(last)
-    inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]  # gravity is first in x
-    # Joint covariance of the last pose, its velocity and biases, and gravity.
-    cov = np.empty((POSE + STATE + GRAVITY, POSE + STATE + GRAVITY))
+    inertial = np.r_[np.arange(at_state, at_state + STATE), np.arange(COMMON)]  # that is first in x
+    # Joint covariance of the last pose, its velocity and biases, and what is in common.
+    cov = np.empty((POSE + STATE + COMMON, POSE + STATE + COMMON))
     cov[:POSE, :POSE] = window.cov[at_pose, at_pose]
     cov[POSE:, :POSE] = states.cross_cov[inertial, at_pose]
     cov[:POSE, POSE:] = cov[POSE:, :POSE].T
@@ -117,10 +127,13 @@ def _predicted_covariances(
     # The motion is the new pose less the last one: ξ = ξ_new − Ad(T) ξ_last.
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
+    cov_of_states = relative @ cov @ relative.T
+    if window.inertial.calibration is not None:
+        walk = walk_variances(window.inertial.calibration, np.array([factor.duration_s]))[0]
+        by_walk = inverse[:POSE] @ jacobian[:, bias_j]
+        cov_of_states += (by_walk * walk) @ by_walk.T
     noise_jacobian = inverse[:POSE]
-    return _symmetric(relative @ cov @ relative.T), _symmetric(
-        noise_jacobian @ factor.cov @ noise_jacobian.T
-    )
+    return _symmetric(cov_of_states), _symmetric(noise_jacobian @ factor.cov @ noise_jacobian.T)
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

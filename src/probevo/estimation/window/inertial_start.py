@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.estimation.motion_model import INNOVATION_GATE
 from probevo.estimation.scaled_inverse import scaled_inverse
 from probevo.estimation.window.equations import POSE, RIG
 from probevo.estimation.window.inertial_equations import linearized
@@ -43,6 +44,9 @@ class InertialFit:
     chi2: float
     """χ² of the residuals that remain."""
     dof: int
+    bias_chi2: float
+    """The part of it that is due to the biases, by their prior of six degrees of freedom: among
+    the others, a bias of several σ would go unnoticed."""
     gravity_m_s2: float
     """Length of gravity, where it is free."""
     gravity_sigma_m_s2: float
@@ -68,6 +72,12 @@ class InertialFit:
             if factor < USUAL_FACTOR:
                 text += f" (noise densities at least {factor:.1f} times as large would explain it)"
             return ImuReason(ImuFault.CONTRADICTION, text)
+        if self.bias_chi2 > INNOVATION_GATE:
+            text = (
+                f"shows biases beyond what its calibration says: χ² is {self.bias_chi2:.0f} for 6"
+                " degrees of freedom; check gyro_bias_sigma_rad_s and accel_bias_sigma_m_s2"
+            )
+            return ImuReason(ImuFault.LARGE_BIAS, text)
         off_m_s2 = abs(self.gravity_m_s2 - GRAVITY_M_S2)
         if off_m_s2 > 3.0 * self.gravity_sigma_m_s2 + GRAVITY_TOLERANCE_M_S2:
             text = (
@@ -117,6 +127,7 @@ def fit_inertial_states(
     prior[bias_columns, bias_columns] = 1.0 / bias_sigma**2
     cov = np.zeros((size, size))
     chi2 = np.inf
+    bias_chi2 = np.inf
     for _ in range(_PASSES):
         # Stack the factors: residuals r, and their derivatives by the poses and by the unknowns.
         states = at_start(velocity, bias, gravity, bias_sigma)
@@ -132,6 +143,7 @@ def fit_inertial_states(
             design[here, 3 * at : 3 * at + 3] = state_jacobian[:, :3]
             design[here, 3 * at + 3 : 3 * at + 6] = state_jacobian[:, STATE : STATE + 3]
             design[here, bias_columns] = state_jacobian[:, 3:STATE]
+            design[here, bias_columns] += state_jacobian[:, STATE + 3 : 2 * STATE]
             # ∂δv/∂g = −T C_i and ∂δp/∂g = −½ T² C_i.
             # Gravity is free here, in its length, too, and not only across itself.
             C_i = T_linear[at, :3, :3]
@@ -156,7 +168,8 @@ def fit_inertial_states(
         step = -cov @ (white_design.T @ white_residual + prior @ values)
         remaining = white_residual + white_design @ step
         values = values + step
-        chi2 = float(remaining @ remaining + values @ prior @ values)
+        bias_chi2 = float(values @ prior @ values)
+        chi2 = float(remaining @ remaining) + bias_chi2
         velocity = values[: 3 * count].reshape(-1, 3)
         bias = values[bias_columns]
         gravity = values[-3:]
@@ -167,6 +180,7 @@ def fit_inertial_states(
         states=at_start(all_velocities, bias, gravity, bias_sigma),
         chi2=chi2,
         dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
+        bias_chi2=bias_chi2,
         gravity_m_s2=length,
         gravity_sigma_m_s2=float(np.sqrt(along @ cov[-3:, -3:] @ along)),
     )

@@ -14,7 +14,12 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.estimation.window.equations import WindowEquations
 from probevo.estimation.window.further_measurements import with_measurements
-from probevo.estimation.window.inertial import ImuStatus, Inertial
+from probevo.estimation.window.inertial import (
+    MAX_EXCESS,
+    USUAL_NOISE_FACTOR,
+    ImuStatus,
+    Inertial,
+)
 from probevo.estimation.window.inertial_equations import (
     InertialSystem,
     Intervals,
@@ -49,9 +54,6 @@ MIN_AT_START = 4
 displacements, and the prior of its bias, against 3K velocities, gravity, and the bias: 3K − 9
 degrees of freedom. Three frames fit any forces, and would test nothing but the length of
 gravity."""
-MAX_EXCESS = 4.0
-"""Largest χ² over its degrees of freedom, at the start and later: what factors and images together
-may be noisier than they say."""
 MAX_GRAVITY_SIGMA_M_S2 = 3.0
 """Largest standard deviation of gravity at the start, where its length is free. Its direction is
 then known to 17°, and may be linearised about: it stays where it is once the first frame leaves."""
@@ -276,8 +278,9 @@ def gate_prediction(window: Window, seen: RelativePose) -> Window:
         )
         if inertial.excess > MAX_EXCESS:
             text = (
-                f"differs from the images by {inertial.excess:.1f} times what their variances"
-                f" explain, in the median of the last {len(inertial.innovations)} steps"
+                f"differs from the images by {inertial.excess:.1f} times what"
+                f" {USUAL_NOISE_FACTOR:.0f} times the variances of its samples explain, in the"
+                f" median of the last {len(inertial.innovations)} steps"
             )
         reason = ImuReason(ImuFault.GATED_OFTEN, text).for_good()
         return without_imu(replace(window, inertial=inertial), reason)
