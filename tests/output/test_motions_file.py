@@ -12,6 +12,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
+from probevo.measurements.imu_calibration_errors import ImuCalibrationErrors
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult, SensorUse
@@ -39,6 +40,8 @@ def test_a_run_comes_back_as_it_was(
             stopped="stopped by Ctrl-C.",
         )
         run = replace(run, accelerometer_scale=AccelerometerScale(1.02, 0.01, 17))
+        errors = ImuCalibrationErrors(0.01 * np.arange(9.0), 0.1 * np.ones(9), np.ones(9))
+        run = replace(run, imu_calibration_errors=errors)
         run = replace(
             run,
             other_camera="is wider",
@@ -55,7 +58,12 @@ def test_a_run_comes_back_as_it_was(
     write_motions(tmp_path / "motions.npz", run)
     back = read_motions(tmp_path / "motions.npz")
     for field in fields(RunResult):
-        np.testing.assert_equal(getattr(back, field.name), getattr(run, field.name))
+        expected = getattr(run, field.name)
+        found = getattr(back, field.name)
+        if isinstance(expected, ImuCalibrationErrors):
+            expected = vars(expected)
+            found = vars(found)
+        np.testing.assert_equal(found, expected)
 
 
 def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
+from probevo.measurements.imu_calibration_errors import ImuCalibrationErrors
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.run_files import MOTIONS
 from probevo.output.run_result import RunResult, SensorUse
@@ -89,6 +90,11 @@ def _fixed_as_array(fixed: FixedFeatures) -> ArrayLike:
     return [fixed.num_moving, fixed.num_fixed, *fixed.center_px, *fixed.spread_px]
 
 
+def _rows_of_calibration(found: ImuCalibrationErrors) -> ArrayLike:
+    """Return errors, standard deviations and prior ones, [3, 9]."""
+    return np.stack([found.errors, found.sigma, found.prior_sigma])
+
+
 def _fault(text: AnyArray) -> ImuFault:
     """Return what is wrong with an IMU; a ValueError if it is nothing that is known."""
     try:
@@ -124,6 +130,9 @@ _OPTIONAL = {
     "imu_fault": _Optional(None, _fault, attrgetter("value")),
     "imu_unused_from": _Optional((), int),
     "imu_noise_factor": _Optional((), float),
+    "imu_calibration_errors": _Optional(
+        (3, 9), lambda array: ImuCalibrationErrors(*array), _rows_of_calibration
+    ),
     "accelerometer_scale": _Optional((3,), _scale, astuple),
     "stopped": _Optional(None, str),
     "sensors": _Optional(None, _sensors_from_text, _sensors_to_text),

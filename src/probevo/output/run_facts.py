@@ -16,6 +16,7 @@ from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain_warning import domain_text
+from probevo.output.imu_calibration_text import imu_calibration_text
 from probevo.output.run_result import STEPS_WITHOUT_IMU, RunResult
 from probevo.output.table import readable
 from probevo.run_config import RunConfig
@@ -60,6 +61,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         facts["Focal length"] = focal_text(result.focal_length)
     if result.imu_noise_factor is not None:
         facts["Noise of the IMU"] = imu_noise_text(result.imu_noise_factor)
+    if result.imu_calibration_errors is not None:
+        facts["Calibration of the IMU"] = imu_calibration_text(result.imu_calibration_errors)
     if result.out_of_domain is not None:
         facts["Out of its domain"] = domain_text(result.out_of_domain)
     scale = result.accelerometer_scale

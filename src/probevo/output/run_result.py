@@ -25,6 +25,7 @@ from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
+from probevo.measurements.imu_calibration_errors import ImuCalibrationErrors
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.imu_use import ImuUse
 from probevo.output.rows import Rows
@@ -194,6 +195,9 @@ class RunResult:
     imu_noise_factor: float | None = None
     """Factor by which the variances of the IMU's samples exceed those of its calibration, as the
     window assumed at the end; None where it uses no IMU."""
+    imu_calibration_errors: ImuCalibrationErrors | None = None
+    """What the images have shown of the errors of the IMU's calibration; None where the window uses
+    no IMU at the end."""
     accelerometer_scale: AccelerometerScale | None = None
     """Length of the path by the images over that by the accelerometer; None if that is not
     known."""

@@ -13,6 +13,7 @@ from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.measurements.imu_reason import ImuFault
 from probevo.output.domain_warning import domain_warning
+from probevo.output.imu_calibration_text import imu_calibration_warning
 from probevo.output.run_result import RunResult
 from probevo.sequences.missing_data import Defect
 from probevo.tracking.fixed_features import MIN_SHIFT_PX, STILL_PX, FixedFeatures, StepsAtRest
@@ -92,6 +93,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
             result.imu_unused_from,
             shutter_rolls=result.readout_s != 0.0,
         ),
+        "Calibration of the IMU": imu_calibration_warning(result.imu_calibration_errors),
         "Truth": truth_warning(result.T_curr_prev, result.status == Status.OK, truth),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),

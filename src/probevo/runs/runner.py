@@ -297,6 +297,7 @@ class _Records:
             other_camera=other_camera(odometry.noise, sequence.camera),
             noise_is_learned=is_learned(odometry.noise),
             imu_noise_factor=Inertial.of(odometry.window).noise_factor_in_use,
+            imu_calibration_errors=Inertial.of(odometry.window).calibration_errors_in_use,
         )
 
 

@@ -335,20 +335,22 @@ def mounted_off(calibration: ImuCalibration) -> ImuCalibration:
 
 
 @pytest.mark.parametrize(
-    ("change", "calibration"),
+    ("change", "calibration", "index", "expected"),
     [
-        (scaled_force, CALIBRATION),
-        (scaled_rate, CALIBRATION),
-        (unchanged, mounted_off(CALIBRATION)),
+        (scaled_force, CALIBRATION, 5, 1.0 / 1.02 - 1.0),
+        (scaled_rate, CALIBRATION, 4, 1.0 / 1.03 - 1.0),
+        (unchanged, mounted_off(CALIBRATION), 1, 0.03),
     ],
+    ids=["accelerometer's scale", "gyro's scale", "mounting"],
 )
 def test_errors_of_the_calibration_that_pass_the_tests_are_learned(
-    change: Callable[[Frame], Frame], calibration: ImuCalibration
+    change: Callable[[Frame], Frame], calibration: ImuCalibration, index: int, expected: float
 ) -> None:
     """The IMU stays in use, the path is no worse than that of the images alone, and the direction
     of gravity is consistent: the average NEES over two drives is below three times its
-    dimensions."""
+    dimensions. What is off is found."""
     squared = []
+    found_errors = []
     errors_m = []
     errors_without_m = []
     for seed in (80, 82):
@@ -361,10 +363,15 @@ def test_errors_of_the_calibration_that_pass_the_tests_are_learned(
         assert by.window is not None
         assert by.window.inertial.is_used
         states = states_of(by.window)
+        found = by.window.inertial.calibration_errors_in_use
+        assert found is not None
+        assert abs(found.errors[index] - expected) < 4.0 * found.sigma[index]
+        found_errors.append(found.errors[index])
         tilt = states.across.T @ so3.log(_shortest_turn(states.gravity, GRAVITY))
         squared.append(tilt @ np.linalg.solve(states.cov[:2, :2], tilt))
         errors_m.append(np.linalg.norm((se3.inverse(truth[-1]) @ last.T_world_cam)[:3, 3]))
         errors_without_m.append(np.linalg.norm((se3.inverse(truth[-1]) @ alone.T_world_cam)[:3, 3]))
+    assert np.mean(found_errors) == pytest.approx(expected, rel=0.5)
     assert np.mean(squared) < 3.0 * 2.0
     assert np.mean(errors_m) < 1.1 * np.mean(errors_without_m)
 

@@ -20,7 +20,13 @@ from probevo.estimation.window.inertial_noise import (
     estimated_noise_factor,
     median_excess,
 )
-from probevo.estimation.window.inertial_states import InertialStates, moved, with_frame
+from probevo.estimation.window.inertial_states import (
+    CALIBRATION_SIGMAS,
+    InertialStates,
+    moved,
+    with_frame,
+)
+from probevo.measurements.imu_calibration_errors import ImuCalibrationErrors
 from probevo.measurements.imu_reason import ImuReason
 from probevo.measurements.preintegration import Preintegration
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -169,6 +175,17 @@ class Inertial:
         """By how much the samples' variances exceed those of the calibration; None unless the
         window uses it."""
         return self.noise_factor if self.is_used else None
+
+    @property
+    def calibration_errors_in_use(self) -> ImuCalibrationErrors | None:
+        """What the images have shown of the calibration's errors; None unless the window uses the
+        IMU."""
+        states = self.states
+        if states is None:
+            return None
+        return ImuCalibrationErrors(
+            states.calibration_errors, states.calibration_sigma, CALIBRATION_SIGMAS
+        )
 
     @property
     def excess(self) -> float:

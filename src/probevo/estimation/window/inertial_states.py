@@ -84,6 +84,11 @@ class InertialStates:
         return turned
 
     @property
+    def calibration_sigma(self) -> FloatArray:
+        """Standard deviations of ``calibration_errors``, [9]."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov)[GRAVITY:COMMON], 0.0))
+
+    @property
     def across(self) -> FloatArray:
         """B, [3, 2]: unit vectors across the linearisation point of gravity."""
         return across(self.gravity_linear)
