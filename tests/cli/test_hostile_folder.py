@@ -70,10 +70,12 @@ def hostile(tmp_path: Path) -> Path:
     """A folder with a recording and with modules that leave a trace where they are run."""
     folder = tmp_path / "data"
     folder.mkdir()
-    world = simulate_points(
-        PointConfig(radius_m=3.0, landmarks=400), duration_s=0.5, rng=np.random.default_rng(0)
-    )
-    for name in ("drive", "other"):
+    for seed, name in enumerate(("drive", "other")):
+        world = simulate_points(
+            PointConfig(radius_m=3.0, landmarks=400),
+            duration_s=0.5,
+            rng=np.random.default_rng(seed),
+        )
         write_points(world, folder / f"{name}.npz")
     write_tum(folder / "path.tum", world.stamps_ns, world.T_world_cam)
     for name in NAMES:

@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -231,10 +232,17 @@ def test_train_run_inspect_and_compare(
     assert "RMS error along x, y, z" in capsys.readouterr().out
     words = ["--noise", "student-t", "--sensor", str(out), "--out", str(tmp_path / "compared")]
     assert main(["compare", str(walls[2]), *words]) == 0
-    # The one left out has calibrated it. Under a name that it has not seen, nothing is marked.
+    # The one left out has calibrated it, and is recognised under any name. Of images that it has
+    # not seen, nothing is marked.
     assert "student-t + correction †" in capsys.readouterr().out
-    unseen = shutil.copytree(walls[2], tmp_path / "unseen")
-    assert main(["compare", str(unseen), *words]) == 0
+    copied = shutil.copytree(walls[2], tmp_path / "copied")
+    assert main(["compare", str(copied), *words]) == 0
+    assert "student-t + correction †" in capsys.readouterr().out
+    first = min((copied / "left").iterdir())
+    image = cv2.imread(str(first), cv2.IMREAD_GRAYSCALE)
+    image[0, 0] ^= 1
+    cv2.imwrite(str(first), image)
+    assert main(["compare", str(copied), *words]) == 0
     shown = capsys.readouterr().out
     assert "student-t + correction" in shown
     assert "†" not in shown
