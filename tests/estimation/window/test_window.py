@@ -686,6 +686,36 @@ def test_a_scale_that_is_singular_gives_way_to_the_motion_of_two_frames(
     np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
 
 
+def test_a_window_without_a_solution_begins_anew_from_its_last_pose() -> None:
+    """Rounding may leave a prior that is indefinite. Where that was so, each later step raised."""
+    frames = drive(np.random.default_rng(68), 12, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = windows_of(frames[:8], by)[-1]
+    prior = replace(window.prior, information=-window.prior.information)
+    spoiled = replace(window, prior=prior)
+    tracks = tracks_between(frames[7], frames[8])
+    begun = by.add_observed_frame(
+        spoiled, tracks, noise_of(len(tracks)), motion=step_to(8, FORWARD)
+    )
+    np.testing.assert_array_equal(begun.frames, [7, 8])
+    assert [pose.frame for pose in begun.marginalized] == window.frames[:-1].tolist()
+    T, cov = begun.relative(1, 0)
+    np.testing.assert_allclose(T, FORWARD, atol=1e-9)
+    np.testing.assert_allclose(cov, step_to(8, FORWARD).covariance, rtol=1e-6, atol=1e-12)
+    # The pose before is as certain as it was, and the next frames are seen again.
+    np.testing.assert_allclose(
+        begun.cov_given_calibration(0), window.cov_given_calibration(-1), rtol=1e-6, atol=1e-15
+    )
+    for prev, curr in pairwise(frames[8:]):
+        tracks = tracks_between(prev, curr)
+        begun = by.add_observed_frame(
+            begun, tracks, noise_of(len(tracks)), motion=step_to(curr.index, FORWARD)
+        )
+    T, cov = begun.relative(len(begun) - 1, len(begun) - 2)
+    np.testing.assert_allclose(T, FORWARD, atol=0.02)
+    assert np.trace(cov[:3, :3]) < 0.02**2
+
+
 def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> None:
     """Scale matrices that change a hundredfold from frame to frame, and are not proportional."""
     rng = np.random.default_rng(65)

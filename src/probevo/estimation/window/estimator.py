@@ -383,7 +383,7 @@ class WindowEstimator:
                 return self._shortened(adjusted)
         except np.linalg.LinAlgError:
             if not window.inertial.is_used:
-                raise
+                return self._restarted(window, extended, _bounded(motion))
         # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial_steps.without_imu(window, inertial_steps.NO_SOLUTION)
         return self.add_unobserved_frame(
@@ -395,6 +395,21 @@ class WindowEstimator:
             velocity=velocity,
             motion_is_measured=motion_is_measured,
         )
+
+    def _restarted(self, window: Window, extended: Window, motion: RelativePose) -> Window:
+        """Return a new window of the last frame and the next one, where the old one has no
+        solution: nothing but the last pose and its covariance is kept.
+
+        Args:
+            window: K frames.
+            extended: the same with the next one.
+            motion: to the next frame, from one of them.
+        """
+        last = pose_of(int(window.frames[-1]))
+        T_curr_last = extended.T_cam_world[-1] @ se3.inverse(extended.T_cam_world[-2])
+        step = RelativePose(T_curr_last, motion.covariance, curr=motion.curr, prev=last)
+        begun = with_new_pose(window.restarted(), motion.curr.frame, T_curr_last, prev=0)
+        return self.adjustment.adjusted(with_measurements(begun, [step]))
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""

@@ -129,6 +129,32 @@ class Window:
             calibration_effect=CalibrationEffect.none(),
         )
 
+    def restarted(self) -> Window:
+        """Return a window of the last frame alone, with its pose and covariance; all others leave
+        it, and what it has learned of the rig is lost."""
+        is_last = np.arange(len(self)) == len(self) - 1
+        left = replace(self, marginalized=()).without_frames(~is_last)
+        begun = Window.at_first_frame(int(self.frames[-1]))
+        # The pose is known as well as before, but to no more than double precision tells.
+        variances, axes = np.linalg.eigh(self.cov_given_calibration(-1))
+        variances = np.maximum(variances, max(ORIGIN_SIGMA**2, 1e-12 * variances[-1]))
+        information = begun.prior.information.copy()
+        information[:POSE, :POSE] = axes / variances @ axes.T
+        cov = begun.cov.copy()
+        cov[:POSE, :POSE] = axes * variances @ axes.T
+        return replace(
+            begun,
+            T_cam_world=left.T_cam_world,
+            T_linear=left.T_cam_world,
+            jitter_cov=self.jitter_cov,
+            prior=replace(begun.prior, information=information),
+            cov=cov,
+            cov_of_motions=cov,
+            calibration_effect=left.calibration_effect,
+            marginalized=left.marginalized,
+            inertial=left.inertial,
+        )
+
     def __len__(self) -> int:
         """Return the number of frames, K."""
         return len(self.frames)
