@@ -34,7 +34,7 @@ def test_what_is_unusual_is_warned_of() -> None:
     unusual = found({0: 0.03, 1: 0.04, 3: -0.02, 5: -0.015, 7: 0.3})
     warning = imu_calibration_warning(unusual)
     assert warning is not None
-    assert "its mounting is off by 2.9 ± 0.1°" in warning
+    assert "its mounting is off by 2.86 ± 0.06°" in warning
     assert "its stamps are early by 20.0 ± 0.3 ms" in warning
     assert "its position is off by 30.0 ± 1.0 cm" in warning
     assert "accelerometer" not in warning

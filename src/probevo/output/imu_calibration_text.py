@@ -27,9 +27,9 @@ def imu_calibration_warning(found: ImuCalibrationErrors | None) -> str | None:
     if not shown:
         return None
     return (
-        f"By the images, {'; '.join(shown)}. This is taken into account; correct the calibration"
-        " of the IMU nevertheless, so that it helps from the start. `probevo calibrate-check"
-        " SEQUENCE` tests it."
+        f"The IMU differs from its calibration, as the images show: {'; '.join(shown)}. This is"
+        " taken into account; correct the calibration nevertheless, so that the IMU helps from the"
+        " start. `probevo calibrate-check SEQUENCE` tests it."
     )
 
 
@@ -56,4 +56,6 @@ def _scale_text(sensor: str, error: EstimatedError) -> str:
 
 def _with_sigma(error: EstimatedError, *, unit: float) -> str:
     """Return the size of an error in a unit, with its standard deviation."""
-    return f"{abs(error.value) / unit:.1f} ± {error.sigma / unit:.1f}"
+    sigma = error.sigma / unit
+    digits = 1 if sigma >= 0.1 else 2
+    return f"{abs(error.value) / unit:.{digits}f} ± {sigma:.{digits}f}"
