@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
-from probevo.estimation.recovery import MAX_DURATION_S, Recovery, noise_factor
+from probevo.estimation.recovery import MAX_DURATION_S, Recovery, span_factor
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_steps import preintegrate_samples
@@ -95,7 +95,7 @@ class Prediction:
             gyro=None,
             rotation=None,
         )
-        return prediction, Recovery(outage.path, noise_factor(model.frames_of(duration_s)))
+        return prediction, Recovery(outage.path, span_factor(model.frames_of(duration_s)))
 
 
 def predict(state: OdometryState, frame: Frame, imu: ImuCalibration | None) -> Prediction:

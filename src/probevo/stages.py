@@ -86,7 +86,7 @@ class Solved:
         return SolvedTracks(
             self.prediction.state.frame.index,
             self.calibrated,
-            noise_factor=1.0 if self.recovery is None else self.recovery.noise_factor,
+            span_factor=1.0 if self.recovery is None else self.recovery.span_factor,
         )
 
     @property

@@ -16,7 +16,7 @@ from probevo.estimation.recovery import (
     DeadReckonedPath,
     OutageVelocity,
     Recovery,
-    noise_factor,
+    span_factor,
 )
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
@@ -172,7 +172,7 @@ def test_noise_grows_with_frames_but_the_common_mode_does_not(frames: float, fac
         num_tracks=50,
         common_mode=common_mode,
     )
-    found = Recovery(DeadReckonedPath.none(), noise_factor(frames)).accepted(motion)
+    found = Recovery(DeadReckonedPath.none(), span_factor(frames)).accepted(motion)
     assert found.status is pv.Status.RECOVERED
     np.testing.assert_allclose(found.cov, factor * own + common_mode @ common_mode.T)
 

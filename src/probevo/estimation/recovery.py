@@ -164,18 +164,18 @@ class Recovery:
 
     path: DeadReckonedPath
     """From the last usable frame to the previous one."""
-    noise_factor: float
+    span_factor: float
     """Factor by which the variance of matches over so many frames exceeds the noise model."""
 
     def accepted(self, motion: MotionEstimate) -> MotionEstimate:
         """Return the motion from the last usable frame, with the covariance that such matches
         have."""
         # Errors of the calibration are the same however far apart the frames are.
-        cov = motion.cov + (self.noise_factor - 1.0) * motion.own_cov
+        cov = motion.cov + (self.span_factor - 1.0) * motion.own_cov
         return replace(motion, cov=cov, status=Status.RECOVERED)
 
 
-def noise_factor(frames: float) -> float:
+def span_factor(frames: float) -> float:
     """Return the factor of the variance of matches over a number of frames
     (``FRAMES_OF_NOISE``)."""
     return max(1.0, frames / FRAMES_OF_NOISE)

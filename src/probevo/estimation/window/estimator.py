@@ -53,7 +53,7 @@ class SolvedTracks:
     prev: int
     """Index of the frame where they start."""
     calibrated: CalibratedMotion
-    noise_factor: float = 1.0
+    span_factor: float = 1.0
     """Factor of the variance of tracks that span several frames."""
 
 
@@ -190,8 +190,8 @@ class WindowEstimator:
         if not (visual.status is Status.OK or visual.is_partly_determined) or visual.noise is None:
             return None
         noise = visual.noise
-        if step.noise_factor != 1.0:
-            noise = noise.scaled(step.noise_factor)
+        if step.span_factor != 1.0:
+            noise = noise.scaled(step.span_factor)
         # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
         rig = calibrated.corrected_tracks.rig
         tracks = calibrated.corrected_tracks.simultaneous.subset(visual.used)
