@@ -21,7 +21,7 @@ from probevo.estimation.reprojection import ReprojectionSolution
 def solution(squared: FloatArray, dof: float) -> ReprojectionSolution:
     """All that is looked at."""
     weight = dof / (dof + squared) if np.isfinite(dof) else np.ones_like(squared)
-    return SimpleNamespace(squared=squared, weight=weight)  # type: ignore[return-value]
+    return SimpleNamespace(mahalanobis_sq=squared, weight=weight)  # type: ignore[return-value]
 
 
 def test_at_the_reference_dof_it_is_the_robust_weight() -> None:
@@ -59,7 +59,7 @@ def test_what_has_no_robust_weight_keeps_the_one_it_has() -> None:
     squared = np.array([0.0, 1e6])
     gaussian = comparable_weights(solution(squared, np.inf), np.full(2, np.inf))
     np.testing.assert_array_equal(gaussian, [1.0, 1.0])
-    behind = SimpleNamespace(squared=np.array([1e4]), weight=np.zeros(1))
+    behind = SimpleNamespace(mahalanobis_sq=np.array([1e4]), weight=np.zeros(1))
     np.testing.assert_array_equal(comparable_weights(behind, np.full(1, 2.0)), [0.0])
 
 

@@ -224,7 +224,7 @@ class Scalar:
         return np.array([[1.0 / self.sigma**2]])
 
     def outcome(self, values: Values) -> Outcome:
-        return Outcome(squared=np.zeros(1), weight=np.ones(1), gated=np.zeros(1, np.bool_))
+        return Outcome(mahalanobis_sq=np.zeros(1), weight=np.ones(1), gated=np.zeros(1, np.bool_))
 
 
 def test_no_iterations_keep_the_values_and_propagate_there() -> None:
@@ -325,7 +325,7 @@ class Groups:
         return np.eye(1)
 
     def outcome(self, values: Values) -> Outcome:
-        return Outcome(squared=np.zeros(1), weight=np.ones(1), gated=np.zeros(1, np.bool_))
+        return Outcome(mahalanobis_sq=np.zeros(1), weight=np.ones(1), gated=np.zeros(1, np.bool_))
 
 
 def solved(newton_hessian: float | None) -> tuple[levenberg_marquardt.Optimum, int]:

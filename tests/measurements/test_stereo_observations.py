@@ -156,7 +156,7 @@ def test_noise_of_the_earlier_observation_enters_with_its_own_scale() -> None:
     np.testing.assert_allclose(found.propagated_noise.information @ sigma, unit, atol=1e-6)
     e = curr_px - warp(FORWARD, s)
     squared = np.einsum("ni,nij,nj->n", e, np.linalg.inv(sigma), e)
-    np.testing.assert_allclose(found.outcome({CURR: FORWARD}).squared, squared, rtol=0.05)
+    np.testing.assert_allclose(found.outcome({CURR: FORWARD}).mahalanobis_sq, squared, rtol=0.05)
 
 
 def test_an_equal_earlier_scale_is_the_same_as_none() -> None:
@@ -200,7 +200,7 @@ def test_a_feature_that_is_far_off_counts_as_it_did_in_the_solve() -> None:
         tracks.prev_px, curr_px, noise, camera=CAMERA, poses=PosePair(CURR)
     ).propagated({CURR: FORWARD})
     outcome = observations.outcome({CURR: FORWARD})
-    assert outcome.squared[0] > BEHIND
+    assert outcome.mahalanobis_sq[0] > BEHIND
     assert not outcome.gated.any()
     np.testing.assert_array_equal(outcome.weight, np.ones(5))
     solved = observations.linearize({CURR: FORWARD})
@@ -222,5 +222,5 @@ def test_outcome_says_which_points_are_behind_the_camera() -> None:
     outcome = observations.propagated({CURR: FORWARD}).outcome({CURR: FORWARD})
     assert outcome.gated.tolist() == [False] * 5 + [True]
     np.testing.assert_allclose(outcome.weight, [1.0] * 5 + [0.0], atol=1e-12)
-    np.testing.assert_allclose(outcome.squared[:5], 0.0, atol=1e-9)
-    assert outcome.squared[5] == BEHIND
+    np.testing.assert_allclose(outcome.mahalanobis_sq[:5], 0.0, atol=1e-9)
+    assert outcome.mahalanobis_sq[5] == BEHIND

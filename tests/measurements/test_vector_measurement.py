@@ -132,7 +132,7 @@ def test_hessian_of_a_student_t_is_that_of_reweighted_least_squares(size: float)
     dof = 5.0
     values = {OFFSET: size * np.array([0.6, -0.3, 0.7])}
     measurement = Linear(COVARIANCE, dof=dof)
-    s = float(measurement.outcome(values).squared[0])
+    s = float(measurement.outcome(values).mahalanobis_sq[0])
     found = measurement.linearize(values)
     pull = found.gradient / ((dof + 3.0) / (dof + s))
     curvature = found.hessian - 2.0 * (dof + 3.0) / (dof + s) ** 2 * np.outer(pull, pull)
@@ -146,7 +146,7 @@ def test_beyond_the_gate_nothing_pulls(dof: float) -> None:
     """The cost stays where it is at the gate."""
     measurement = Linear(COVARIANCE, dof=dof, gate=9.0)
     direction = np.array([0.6, -0.3, 0.7])
-    squared = Linear(COVARIANCE).outcome({OFFSET: direction}).squared[0]
+    squared = Linear(COVARIANCE).outcome({OFFSET: direction}).mahalanobis_sq[0]
     at_gate = direction * np.sqrt(9.0 / squared)
     inside = measurement.linearize({OFFSET: 0.999999 * at_gate})
     for factor in (1.000001, 2.0, 1e3):
@@ -210,7 +210,7 @@ def test_outcome_is_distance_and_relative_weight() -> None:
     residual = measurement.residual(values)
     squared = residual @ np.linalg.solve(COVARIANCE, residual)
     outcome = measurement.outcome(values)
-    assert outcome.squared == pytest.approx(squared, rel=1e-12)
+    assert outcome.mahalanobis_sq == pytest.approx(squared, rel=1e-12)
     assert outcome.weight == pytest.approx(4.0 / (4.0 + squared), rel=1e-12)
     assert not outcome.gated.any()
     assert point_seen(rng, values).outcome(values).weight.tolist() == [1.0]

@@ -65,7 +65,7 @@ def test_a_common_error_adds_its_covariance_in_both_frames(
     rng = np.random.default_rng(5)
     noise = replace(random_noise(rng, np.full(COUNT, 5.0)), refers_to=refers_to)
     error_px = rng.normal(size=(COUNT, 4))
-    found = noise.with_common_error(error_px)
+    found = noise.with_correlated_error(error_px)
     added = found.scale - noise.scale
     frames = 2.0 if refers_to == "residual" else 1.0
     for k in range(COUNT):
@@ -80,7 +80,7 @@ def test_a_common_error_adds_to_both_observations_of_different_noise() -> None:
     dof = np.full(COUNT, 5.0)
     noise = replace(random_noise(rng, dof), refers_to="observation")
     noise = replace(noise, prev_scale=random_noise(rng, dof).scale)
-    found = noise.with_common_error(rng.normal(size=(COUNT, 4)))
+    found = noise.with_correlated_error(rng.normal(size=(COUNT, 4)))
     assert noise.prev_scale is not None
     assert found.prev_scale is not None
     np.testing.assert_allclose(

@@ -66,7 +66,7 @@ def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> Float
     robust = np.isfinite(dof) & (dof != REFERENCE_DOF) & (solution.weight > 0.0)
     nu = np.where(robust, dof, REFERENCE_DOF)
     # From s to its tail probability under ν, and from that to y under the reference.
-    tail = _tail_probability(nu / (nu + solution.squared), nu)
+    tail = _tail_probability(nu / (nu + solution.mahalanobis_sq), nu)
     comparable: FloatArray = np.where(
         robust, np.interp(tail, _REFERENCE_TAILS, _REFERENCE_WEIGHTS), solution.weight
     )

@@ -182,7 +182,7 @@ def _squared_residuals(
     """Return how far N matches are from a solve, from its motion and its jitter of the rig, in
     their noise: eᵀ Σ⁻¹ e, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
-    return evaluated_at(solution, observations).squared
+    return evaluated_at(solution, observations).mahalanobis_sq
 
 
 def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> tuple[StereoNoise, bool]:

@@ -63,7 +63,7 @@ class ReprojectionSolution:
     cov: FloatArray
     """Covariance of the left perturbation ξ = [ρ; φ] of it, [6, 6]; NaN where the features do not
     fix all of ξ."""
-    squared: FloatArray
+    mahalanobis_sq: FloatArray
     """eᵀ Σ⁻¹ e of each feature, [N]; Σ is the scale of its residual."""
     weight: FloatArray
     """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
@@ -205,7 +205,7 @@ def solve_reprojection(
     return ReprojectionSolution(
         T_curr_prev=T_curr_prev,
         cov=np.ascontiguousarray(cov[:6, :6]),
-        squared=features.squared,
+        mahalanobis_sq=features.mahalanobis_sq,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
         curvature=features.weights.curvature,

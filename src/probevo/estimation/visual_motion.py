@@ -164,7 +164,7 @@ class _Solve:
         has_moved = solution.exceeds_noise and self.tracks.novelty == 1.0
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
-        return self.noise_factor * scale_of_residuals(solution.squared, self.noise.dof)
+        return self.noise_factor * scale_of_residuals(solution.mahalanobis_sq, self.noise.dof)
 
     def differs_from(self, T_curr_prev: FloatArray) -> bool:
         """Return whether its motion differs significantly from another one, [4, 4], given how much
@@ -172,7 +172,7 @@ class _Solve:
         solution = self.estimate.solution
         if not np.isfinite(solution.cov).all():
             return True
-        cov = _residual_scale(solution.squared, self.noise) * solution.cov
+        cov = _residual_scale(solution.mahalanobis_sq, self.noise) * solution.cov
         squared = normalized_error_squared(T_curr_prev, solution.T_curr_prev, cov)
         return bool(squared > MOTIONS_DIFFER_FROM)
 
@@ -190,7 +190,7 @@ class _Solve:
         excess_factor = 2.0 * self.enlargement - 1.0
         # The larger noise would also give weight again to the outliers of this solve, as if their
         # scatter were independent. So the variances grow by the gain in weight, too.
-        squared = self.estimate.solution.squared
+        squared = self.estimate.solution.mahalanobis_sq
         dof = np.minimum(self.noise.dof, GAUSSIAN_FROM)
         weight = dof / (dof + squared)
         weight_after = dof / (dof + squared / self.enlargement)
@@ -420,7 +420,7 @@ class VisualEstimator:
             # There are inliers enough to determine the motion, but they understate the noise: the
             # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
             # all tracks, rather too much than too little.
-            enlargement = _residual_scale(solution.squared, solve.noise)
+            enlargement = _residual_scale(solution.mahalanobis_sq, solve.noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
             other_information = priors.information_of_measurements(solution.T_curr_prev)
@@ -578,7 +578,7 @@ class VisualEstimator:
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
-        squared = evaluated_at(solution, observations).squared
+        squared = evaluated_at(solution, observations).mahalanobis_sq
         factor = _residual_scale(squared, noise)
         agree = agree_with_noise(squared, noise.dof, factor)
         if noise_factor * factor > MAX_SCALE:
@@ -601,7 +601,7 @@ class VisualEstimator:
         if noise_factor != 1.0:
             noise = noise.scaled(noise_factor)
         if tracks.velocity_error_px is not None:
-            noise = noise.with_common_error(tracks.velocity_error_px)
+            noise = noise.with_correlated_error(tracks.velocity_error_px)
         return noise
 
     def _reference_motion(self, solve: _Solve, priors: MotionPriors) -> FloatArray:

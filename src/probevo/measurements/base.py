@@ -30,7 +30,7 @@ class Linearization(NamedTuple):
 class Outcome:
     """Weights and gating of the N residuals of a measurement (one, or a batch)."""
 
-    squared: FloatArray
+    mahalanobis_sq: FloatArray
     """Squared Mahalanobis distance of each residual, [N]."""
     weight: FloatArray
     """Robust weight of each residual, relative to the weight of a zero residual, [N], 0 to 1."""

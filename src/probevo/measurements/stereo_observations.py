@@ -323,7 +323,7 @@ class StereoObservations:
         """Return weights and gating of the N residuals."""
         at = self.at(values)
         return Outcome(
-            squared=at.squared,
+            mahalanobis_sq=at.mahalanobis_sq,
             weight=at.weights.relative,
             gated=~at.jacobians.contributes,
         )
@@ -363,7 +363,7 @@ class StereoObservations:
             hessian[6:, 6:] += JITTER_PRIOR
             information[6:, 6:] += JITTER_PRIOR
         return StereoResult(
-            squared=jacobians.squared,
+            mahalanobis_sq=jacobians.squared,
             weights=weights,
             jacobians=jacobians,
             hessian=hessian,
@@ -455,7 +455,7 @@ class StereoObservations:
 class StereoResult:
     """N stereo observations evaluated at one motion."""
 
-    squared: FloatArray
+    mahalanobis_sq: FloatArray
     """eᵀ Σ⁻¹ e of each feature, [N]; Σ is the scale of its residual."""
     weights: FeatureWeights
     jacobians: StereoJacobians

@@ -188,7 +188,7 @@ class VectorMeasurement(ABC):
         squared = float(residual @ self._information @ residual)
         perfect = self._weight(0.0)
         return Outcome(
-            squared=np.array([squared]),
+            mahalanobis_sq=np.array([squared]),
             weight=np.array([self._weight(squared) / perfect]),
             gated=np.array([squared > self.gate]),
         )

@@ -94,7 +94,7 @@ class StereoNoise:
             prev_scale=prev_scale,
         )
 
-    def with_common_error(self, error_px: FloatArray) -> StereoNoise:
+    def with_correlated_error(self, error_px: FloatArray) -> StereoNoise:
         """Return the noise with one more error of each observation in each of the two frames.
 
         It is independent between the frames, and fully correlated between the four coordinates of

@@ -90,7 +90,7 @@ def time_correlation_profile(
 
     # Σ⁻¹ m of each feature, and from it a and b; s is the solution's.
     white = np.einsum("nij,nj->ni", information, direction)
-    s = solution.squared[chosen]
+    s = solution.mahalanobis_sq[chosen]
     a = np.sum(white * e, axis=1)
     b = np.sum(white * direction, axis=1)
 
