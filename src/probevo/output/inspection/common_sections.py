@@ -68,10 +68,11 @@ class ModelPage:
         ]
         drawn: Mapping[str, Picture] = {}
         if self.frame_part is not None:
-            frame, drawn = self.frame_part.frame, self.frame_part.pictures
+            part = self.frame_part
+            drawn = part.pictures
             sections.append(heading("In this frame"))
-            sections.append(pictures_section(frame, drawn, self.frame_part.remark))
-            sections.append(grid(self.frame_part.panels))
+            sections.append(pictures_section(part.frame, drawn, part.remark))
+            sections.append(grid(part.panels))
         sections += self.origin
         return Findings(
             sections=tuple(sections),
