@@ -26,12 +26,12 @@ import numpy as np
 from points import KnownCovariances, oracle
 
 import probevo as pv
+from probevo.config.training import KernelSettings, SupervisionName, TrainSettings
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.evaluation.consistency import feature_coverage
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.output.run_result import RunRecorder
-from probevo.training.settings import KernelSettings, SupervisionName, TrainSettings
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import PointWorld, write_training_and_test
 

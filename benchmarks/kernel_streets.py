@@ -19,9 +19,9 @@ from recordings import RECORDINGS, by_velocities
 
 import probevo as pv
 from probevo.arrays import FloatArray
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.output.run_result import RunResult
-from probevo.training.settings import KernelSettings, TrainSettings
 
 NAMES = ("city", "residential", "road", "kitti")
 PLACES = 4

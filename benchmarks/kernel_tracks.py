@@ -20,6 +20,7 @@ from recordings import ROOT
 
 import probevo as pv
 from probevo.config import OdometryConfig
+from probevo.config.training import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.noise import GeneralizedKernel, StudentT
 from probevo.noise.metric import Metric
@@ -29,7 +30,6 @@ from probevo.training.drive import joined
 from probevo.training.extraction import Extraction
 from probevo.training.gk.expectation import MotionPosterior, feature_errors, solve_drive
 from probevo.training.gk.expectation_maximization import learn_kernel, learn_student_t
-from probevo.training.settings import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import supervision_of
 from probevo.training.trainer import TrainingContext

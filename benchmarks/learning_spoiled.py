@@ -31,12 +31,12 @@ from recordings import ROOT
 import probevo as pv
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.config.training import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
 from probevo.sequences.frame import Frame
-from probevo.training.settings import KERNEL_PREDICTORS, KernelSettings, TrainSettings
 from probevo_sim.spoiling.config import SpoilConfig
 from probevo_sim.spoiling.recording import SpoiledRecording
 from probevo_sim.spoiling.stress import StepErrors, step_errors

@@ -24,9 +24,9 @@ from recordings import RECORDINGS
 import probevo as pv
 from probevo.cli.compare import aggressive
 from probevo.config import OdometryConfig
+from probevo.config.training import PUBLISHED_PREDICTORS, SupervisionName, TrainSettings
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.training.settings import PUBLISHED_PREDICTORS, SupervisionName, TrainSettings
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import write_training_and_test
 from probevo_sim.scene.config import Effects, PresetName, SceneConfig

@@ -74,11 +74,11 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
     import numpy as np
 
     import probevo as pv
+    from probevo.config.training import KERNEL_PREDICTORS
     from probevo.predictors import prediction_space
     from probevo.training.drive import joined
     from probevo.training.extraction import Extraction
     from probevo.training.gk.expectation import expect
-    from probevo.training.settings import KERNEL_PREDICTORS
     from probevo.training.supervised_drive import DriveInMemory
     from probevo.training.supervision import supervision_of
 

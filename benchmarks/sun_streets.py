@@ -23,6 +23,7 @@ from scipy.stats import spearmanr
 
 from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
+from probevo.config.networks import MethodName, NetworkSettings
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.geometry import se3, so3
@@ -35,7 +36,6 @@ from probevo.nets.domain import FARTHEST
 from probevo.nets.sun_network import SunNetwork
 from probevo.nets.sun_training import errors_of, train_sun
 from probevo.nets.sun_views import SunViews, read_views, sun_field
-from probevo.network_settings import MethodName, NetworkSettings
 from probevo.sequences import open_sequence
 from probevo.sequences.base import Sequence
 from probevo_sim.scene.config import Daylight, Effects, PresetName, RigConfig, SceneConfig

@@ -30,13 +30,13 @@ import numpy as np
 
 import probevo as pv
 from probevo.config import OdometryConfig
+from probevo.config.training import TrainSettings
 from probevo.noise import GeneralizedKernel
 from probevo.predictors import prediction_space
 from probevo.sequences.formats.tracks_file import TracksRecording
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.gk.expectation_maximization import num_iterations
 from probevo.training.recording import record_all
-from probevo.training.settings import TrainSettings
 from probevo.training.sources import checked_sources
 from probevo.training.workers import Workers
 from probevo_sim.point_config import PointConfig

@@ -19,7 +19,7 @@ from plain_odometry import RECORDINGS
 from window import head, show
 
 import probevo as pv
-from probevo.training.settings import KernelSettings, TrainSettings
+from probevo.config.training import KernelSettings, TrainSettings
 
 UNTRAINED = "student-t"
 TRAININGS = {

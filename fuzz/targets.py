@@ -406,8 +406,8 @@ def other_bag(files: Files, name: str, rng: Generator) -> Files:
 
 def model_seeds() -> tuple[Seed, ...]:
     """Train a small model of each kind, by given hyperparameters: their choice takes long."""
+    from probevo.config.training import KernelSettings, TrainSettings
     from probevo.training.api import train_model
-    from probevo.training.settings import KernelSettings, TrainSettings
 
     kernel = KernelSettings(iterations=1, neighbors=50, prior_counts=8.0, centers=100)
     options: dict[str, dict[str, Any]] = {
@@ -523,7 +523,7 @@ def other_flags(files: Files, name: str, rng: Generator) -> Files:
         return files | {name: "\x1f".join(words).encode()}
     command = one_of(("run", "train", "info", "inspect", "eval", "compare", "simulate", "x"), rng)
     if command == "train":
-        from probevo.training.settings import TrainSettings
+        from probevo.config.training import TrainSettings
 
         flags = flag_names(TrainSettings)
     else:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
+    from probevo.config.training import TrainSettings as TrainSettings
     from probevo.errors import InputError as InputError
     from probevo.estimation.matches import estimate_motion as estimate_motion
     from probevo.estimation.motion_estimate import MotionEstimate as MotionEstimate
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from probevo.sequences.pose_files import write_kitti_poses as write_kitti_poses
     from probevo.sequences.pose_files import write_tum as write_tum
     from probevo.training.api import train_model as train_model
-    from probevo.training.settings import TrainSettings as TrainSettings
 
 __version__ = "0.2.0"
 
@@ -44,7 +44,7 @@ _MODULE_OF = {
     "Status": "probevo.estimation.motion_estimate",
     "StereoCamera": "probevo.camera.stereo",
     "StereoOdometry": "probevo.odometry",
-    "TrainSettings": "probevo.training.settings",
+    "TrainSettings": "probevo.config.training",
     "compound": "probevo.path",
     "estimate_motion": "probevo.estimation.matches",
     "load_model": "probevo.noise.model_io",

@@ -12,11 +12,11 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.config import OdometryConfig
+from probevo.config.validation import checked_settings
 from probevo.errors import InputError, brief
 from probevo.noise import NoiseModel, StudentT
 from probevo.noise.named import noise_model
 from probevo.predictors import PredictionSpace
-from probevo.run_config import checked_settings
 from probevo.sequences.base import Sequence
 from probevo.sequences.imu_calibration import ImuCalibration
 

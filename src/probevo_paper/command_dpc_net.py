@@ -11,8 +11,8 @@ from probevo import __version__
 from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
+from probevo.config.networks import NetworkSettings
 from probevo.nets.correction_training import train_correction
-from probevo.network_settings import NetworkSettings
 from probevo.output.comparison.comparison_files import write_csv
 from probevo.output.json_file import write_json
 from probevo.sequences.base import Sequence

@@ -17,7 +17,7 @@ from probevo_sim.scene.writer import scene_folder
 
 if TYPE_CHECKING:
     from probevo import sequences
-    from probevo.training.settings import TrainSettings
+    from probevo.config.training import TrainSettings
     from probevo_sim.scene.config import SceneConfig
 
 

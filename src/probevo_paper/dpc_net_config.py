@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
 
 class DpcNetConfig(Settings):

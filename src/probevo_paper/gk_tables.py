@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from probevo.config import OdometryConfig
+from probevo.config.training import KERNEL_ONLY, KernelSettings, SupervisionName, TrainSettings
 from probevo.run_config import CommonRunSettings
-from probevo.training.settings import KERNEL_ONLY, KernelSettings, SupervisionName, TrainSettings
 
 FIXED = "fixed"
 """One Gaussian covariance for all features."""

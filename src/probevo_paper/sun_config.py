@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
 
 class SunConfig(Settings):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from probevo.config.training import SupervisionName, TrainSettings
 from probevo.output.trial_table import Errors
 from probevo.run_config import CommonRunSettings
 from probevo.sequences.base import Sequence
-from probevo.training.settings import SupervisionName, TrainSettings
 from probevo_paper.gk_tables import FITTED, FIXED, GK_EM, GK_GT, STATIC
 from probevo_paper.table_1_2_config import RowName, Table12Config
 from probevo_sim.point_config import PointConfig, PointOutliers

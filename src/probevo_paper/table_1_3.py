@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.config.training import TrainSettings
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.geometry import se3
 from probevo.output.comparison.comparison import Comparison, Entry
 from probevo.output.trial_table import Errors, TrialRow, TrialTable
-from probevo.training.settings import TrainSettings
 from probevo_paper.gk_tables import ESTIMATOR_NOTE, FITTED, GK_EM, STATIC
 from probevo_paper.table_1_3_config import Table13Config
 from probevo_sim.scene.config import Effects, SceneConfig

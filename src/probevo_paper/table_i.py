@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from probevo.config import OdometryConfig
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
-from probevo.training.settings import TrainSettings
 
 NOMINAL = "nominal"
 AGGRESSIVE = "aggressive"

@@ -12,7 +12,7 @@ import tyro
 
 from probevo.cli.arguments import checked, parse_one_of
 from probevo.errors import InputError
-from probevo.run_config import ReadSettings
+from probevo.sequences.read_settings import ReadSettings
 from probevo_sim.point_config import PointConfig
 from probevo_sim.scene.config import SceneConfig
 from probevo_sim.spoiling.config import SpoilConfig

@@ -6,15 +6,9 @@ import pytest
 
 from probevo.config import OdometryConfig, TrackingConfig
 from probevo.errors import InputError
-from probevo.run_config import (
-    FORMAT_HELP,
-    OWN_KEYS,
-    RunConfig,
-    config_text,
-    read_config,
-    run_config,
-)
+from probevo.run_config import OWN_KEYS, RunConfig, config_text, read_config, run_config
 from probevo.sequences import format_names
+from probevo.sequences.read_settings import FORMAT_HELP
 
 
 def test_names_are_those_that_exist() -> None:

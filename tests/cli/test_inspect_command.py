@@ -15,9 +15,9 @@ from cli.rendering import HEIGHT_PX, WIDTH_PX, write_wall
 from output.pages import Balance
 from output.undrawn import figures_undrawn
 from probevo.cli.main import main
+from probevo.config.training import PROBE_PREDICTORS
 from probevo.output.inspection.feature_pictures import enlargement, legend_height
 from probevo.predictors import PREDICTORS
-from probevo.training.settings import PROBE_PREDICTORS
 from sequences.damage import replace
 from worlds import CAMERA, drive
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from probevo.cli.main import main
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.model_io import load_model
 from probevo.noise.student_t import StudentT
 from probevo.output.motions_file import read_motions
 from probevo.sequences import open_sequence
 from probevo.training.api import train_model
-from probevo.training.settings import KernelSettings, TrainSettings
 from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
 from training.supervised_drives import point_world

@@ -18,6 +18,7 @@ pytest.importorskip("equinox")
 import probevo as pv  # noqa: E402
 from cli.rendering import write_wall  # noqa: E402
 from probevo.cli.main import main  # noqa: E402
+from probevo.config.networks import NetworkSettings  # noqa: E402
 from probevo.errors import InputError  # noqa: E402
 from probevo.geometry import se3  # noqa: E402
 from probevo.measurements.relative_pose import RelativePose  # noqa: E402
@@ -26,7 +27,6 @@ from probevo.nets.correction_network import CorrectionNetwork, inputs_of  # noqa
 from probevo.nets.correction_sensor import CorrectionSensor  # noqa: E402
 from probevo.nets.correction_training import calibrated, errors_of, train_correction  # noqa: E402
 from probevo.nets.estimated_steps import EstimatedSteps, read_steps  # noqa: E402
-from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 from probevo_paper import dpc_net  # noqa: E402
 from worlds import TWO_FRAMES  # noqa: E402

@@ -12,13 +12,13 @@ pytest.importorskip("equinox")
 
 from nets.small_networks import INPUTS, build
 from nets.small_pairs import small_pairs
+from probevo.config.networks import NetworkSettings
 from probevo.nets import recorded_training
 from probevo.nets.image_pairs import ImagePairs
 from probevo.nets.learning import Learned, LearningPlan
 from probevo.nets.methods import Method
 from probevo.nets.recorded_training import TrainingRun, read_samples, write_samples
 from probevo.nets.target_space import RotationTargets
-from probevo.network_settings import NetworkSettings
 
 
 def test_a_file_gives_the_samples_back_and_a_damaged_one_none(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ eqx = pytest.importorskip("equinox")
 from cli.rendering import write_wall  # noqa: E402
 from nets.small_pairs import NOISE, small_pairs  # noqa: E402
 from probevo.cli.main import main  # noqa: E402
+from probevo.config.networks import NetworkSettings  # noqa: E402
 from probevo.errors import InputError  # noqa: E402
 from probevo.geometry import so3  # noqa: E402
 from probevo.measurements.sensor import NoMeasurement  # noqa: E402
@@ -26,7 +27,6 @@ from probevo.nets.rotation_network import SPACE, RotationNetwork  # noqa: E402
 from probevo.nets.rotation_sensor import RotationSensor  # noqa: E402
 from probevo.nets.rotation_training import calibrated, errors_of, train_rotation  # noqa: E402
 from probevo.nets.trained_network import saliency  # noqa: E402
-from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sensor_kinds import load_sensors  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 from probevo.sequences.frame import GroundTruth  # noqa: E402

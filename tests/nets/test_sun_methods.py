@@ -13,6 +13,7 @@ import pytest
 jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 eqx = pytest.importorskip("equinox")
 
+from probevo.config.networks import MethodName, NetworkSettings  # noqa: E402
 from probevo.errors import InputError  # noqa: E402
 from probevo.nets import methods  # noqa: E402
 from probevo.nets.domain import FARTHEST, Domain  # noqa: E402
@@ -26,7 +27,6 @@ from probevo.nets.sun_network import SPACE, SunNetwork, method_of, method_text  
 from probevo.nets.sun_space import MIN_SIGMA_RAD  # noqa: E402
 from probevo.nets.sun_views import CHANNELS, SunViews, image_statistics  # noqa: E402
 from probevo.nets.trained_network import first_facts, saliency, trunk_features  # noqa: E402
-from probevo.network_settings import MethodName, NetworkSettings  # noqa: E402
 
 IMAGES = 12
 ESTIMATED = 4

@@ -15,6 +15,7 @@ pytest.importorskip("equinox")
 
 from cli.rendering import write_wall  # noqa: E402
 from probevo.cli.main import main  # noqa: E402
+from probevo.config.networks import NetworkSettings  # noqa: E402
 from probevo.errors import InputError  # noqa: E402
 from probevo.measurements.direction import Direction  # noqa: E402
 from probevo.measurements.north import NORTH  # noqa: E402
@@ -30,7 +31,6 @@ from probevo.nets.sun_views import (  # noqa: E402
     read_views,
     sun_field,
 )
-from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 
 FRAMES = 13

@@ -13,10 +13,10 @@ import pytest
 from output.test_trial_table import tabular, width
 from paper.stand_ins import interrupt_run
 from probevo.cli.main import main
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.noise import StudentT
 from probevo.run_config import read_config
-from probevo.training.settings import TrainSettings
 from probevo_paper.table_i import (
     CITY,
     ESTIMATORS,

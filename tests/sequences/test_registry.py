@@ -11,6 +11,7 @@ from typing import Any, Literal
 import pytest
 from pydantic import Field
 
+from probevo.config.settings import Settings
 from probevo.errors import InputError
 from probevo.sequences import (
     Sequence,
@@ -22,7 +23,6 @@ from probevo.sequences import (
     sequence_formats,
 )
 from probevo.sequences.recordings_nearby import MAX_LOOKED_AT
-from probevo.settings import Settings
 from sequences.damage import assert_refused
 from sequences.recordings import (
     write_folder_sequence,

@@ -15,6 +15,7 @@ import pytest
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
@@ -22,7 +23,6 @@ from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.content import FIRST_FRAMES
 from probevo.sequences.frame import Frame
-from probevo.training.settings import TrainSettings
 from probevo.training.sources import RecordingAt, checked_sources
 from probevo_sim.point_world import write_points
 from sequences.recordings import image, write_image, write_kitti_flow, write_tracks

@@ -8,6 +8,7 @@ import pytest
 
 from probevo import __version__
 from probevo.config import OdometryConfig
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.storage.files import remove_stale
@@ -16,7 +17,6 @@ from probevo.training import checkpoint
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
 from probevo.training.probe.subsets import SubsetErrors
-from probevo.training.settings import TrainSettings
 from probevo.training.sources import calibration
 from training.supervised_drives import Recording, drive_of, known, point_world, recording
 from worlds import CAMERA

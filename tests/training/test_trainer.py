@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.errors import InputError
 from probevo.noise.registry import noise_kinds
 from probevo.predictors import prediction_space
 from probevo.training import trainer as trainer_module
-from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.trainer import Trainer, trainer_of
 
 TRAINED = [name for name, kind in noise_kinds().items() if kind.trainer]

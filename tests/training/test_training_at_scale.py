@@ -12,6 +12,7 @@ import pytest
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
+from probevo.config.training import KernelSettings
 from probevo.errors import InputError
 from probevo.noise import StudentT
 from probevo.noise.metric import Metric
@@ -26,7 +27,6 @@ from probevo.training.gk.expectation import Expectation, expect, solve_drive
 from probevo.training.gk.expectation_maximization import learn_student_t
 from probevo.training.gk.thinning import thinned
 from probevo.training.lease import leased
-from probevo.training.settings import KernelSettings
 from probevo.training.sources import checked_sources
 from probevo.training.supervised_drive import DriveInMemory, DriveOnDisk
 from probevo.training.trainer import TrainingContext

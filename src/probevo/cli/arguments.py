@@ -18,8 +18,9 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from probevo.config.validation import setting_error
 from probevo.errors import InputError
-from probevo.run_config import OWN_KEYS, RunConfig, setting_error
+from probevo.run_config import OWN_KEYS, RunConfig
 
 Arguments = TypeVar("Arguments")
 Model = TypeVar("Model", bound=BaseModel)

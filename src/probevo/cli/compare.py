@@ -15,7 +15,8 @@ from probevo.cli.run import default_common_settings
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.output.run_files import REPORT
-from probevo.run_config import CommonRunSettings, ReadSettings, RunConfig, run_config
+from probevo.run_config import CommonRunSettings, RunConfig, run_config
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo import sequences

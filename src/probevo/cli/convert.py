@@ -12,8 +12,9 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
 from probevo.output.run_files import MOTIONS, SETTINGS, VIEWER_SUFFIX
-from probevo.run_config import ReadSettings, RosSettings
+from probevo.run_config import RosSettings
 from probevo.sequences.format_options import BAG_SUFFIXES
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo.output.run_result import RunResult

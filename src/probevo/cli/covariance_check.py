@@ -12,7 +12,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.cli.info import print_reader_warnings
 from probevo.cli.text import table
 from probevo.errors import InputError
-from probevo.run_config import ReadSettings
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo.runs.feature_halves import Agreement

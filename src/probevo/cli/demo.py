@@ -11,9 +11,9 @@ import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import columns
+from probevo.config.training import TrainSettings
 from probevo.output.run_files import REPORT
 from probevo.run_config import RunConfig
-from probevo.training.settings import TrainSettings
 from probevo_sim.scene.config import Effects, SceneConfig
 
 if TYPE_CHECKING:

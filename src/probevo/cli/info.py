@@ -13,7 +13,8 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.cli.text import columns
-from probevo.run_config import ReadSettings, RunConfig
+from probevo.run_config import RunConfig
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo.camera.rectification import PinholeCamera

@@ -14,8 +14,8 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import ReadSettings
 from probevo.sensor_kinds import is_sensor_file, kind_of_file, recordings_of_file, resolve
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
@@ -168,10 +168,10 @@ def frame_view(
         InputError: the model belongs to another camera, the recording lacks what a predictor needs,
             there is no such frame, or it has no features.
     """
+    from probevo.config.training import TrainSettings
     from probevo.noise.named import check_model_camera
     from probevo.predictors import PredictionSpace, prediction_space, space_for
     from probevo.sequences import open_sequence
-    from probevo.training.settings import TrainSettings
     from probevo.training.sources import known_predictors
 
     reading = checked(arguments.reading)

@@ -11,10 +11,10 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.cli.train_summary import few_frames_warning, summary
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
-from probevo.run_config import ReadSettings
 from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, trainer_of_sensor
-from probevo.training.settings import TrainSettings
+from probevo.sequences.read_settings import ReadSettings
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel

@@ -12,6 +12,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, concatenated
 from probevo.config import OdometryConfig
+from probevo.config.networks import NetworkSettings
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.nets.calibration import BLOCK, Claimed, block_sums, calibration
@@ -40,7 +41,6 @@ from probevo.nets.trained_network import (
     sensor_errors,
     trunk_features,
 )
-from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from probevo import __version__
 from probevo.arrays import FloatArray
+from probevo.config.networks import NetworkSettings
 from probevo.errors import InputError
 from probevo.nets import methods
 from probevo.nets.calibration import BLOCK
@@ -32,7 +33,6 @@ from probevo.nets.learning import Augment, Learned, LearningPlan, TrainingData, 
 from probevo.nets.methods import Build, Method
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
-from probevo.network_settings import NetworkSettings
 from probevo.sequences.base import Sequence
 from probevo.sequences.formats.folder import SUN_FILE
 from probevo.storage.files import check_folder, remove_stale

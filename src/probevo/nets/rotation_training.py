@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray, concatenated
+from probevo.config.networks import NetworkSettings
 from probevo.geometry import so3
 from probevo.nets import quaternions
 from probevo.nets.calibration import BLOCK, Claimed, calibration
@@ -27,7 +28,6 @@ from probevo.nets.trained_network import (
     sensor_errors,
     trunk_features,
 )
-from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from probevo.arrays import FloatArray
+from probevo.config.networks import NetworkSettings
 from probevo.nets.field_network import empty_field_networks
 from probevo.nets.methods import Method
 from probevo.nets.sun_space import SunTargets
@@ -16,7 +17,6 @@ from probevo.nets.trained_network import (
     facts_of_kind,
     read_arrays,
 )
-from probevo.network_settings import NetworkSettings
 
 KIND = "sun"
 SPACE = SunTargets()

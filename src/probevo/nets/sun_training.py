@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray, concatenated
+from probevo.config.networks import NetworkSettings
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import Domain
@@ -31,7 +32,6 @@ from probevo.nets.trained_network import (
     saliency,
     sensor_errors,
 )
-from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 

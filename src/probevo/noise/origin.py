@@ -11,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from probevo.camera.likeness import difference_text
 from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.config.settings import Settings
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
 from probevo.noise.model_file import ModelFile
 from probevo.sequences.content import SeenRecording
-from probevo.settings import Settings
 
 
 def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> dict[str, Any]:

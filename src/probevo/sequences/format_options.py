@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
 PAIR_TOLERANCE_MS = 2.0
 """Cameras with a common trigger differ by less, even if each is stamped on arrival; at 10 m/s the

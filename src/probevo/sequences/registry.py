@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from probevo.config.settings import Settings
 from probevo.entry_points import entry_points, entry_text, imported, load_entry
 from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
@@ -32,7 +33,6 @@ from probevo.sequences.format_options import (
     VideoOptions,
 )
 from probevo.sequences.recordings_nearby import recordings_above, recordings_below, suggestion
-from probevo.settings import Settings
 
 if TYPE_CHECKING:
     from probevo.arrays import AnyArray

@@ -11,7 +11,8 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
-from probevo.config import MAX_DIFFERENCE_OF, TrackingConfig
+from probevo.config import TrackingConfig
+from probevo.config.odometry import DEFAULT_MAX_DIFFERENCE
 from probevo.sequences.frame import Frame
 from probevo.sequences.prepared_images import PreparedImages
 from probevo.tracking.anchor_patches import AnchorPatches
@@ -485,7 +486,7 @@ def _fewest_to_go_on(config: TrackingConfig) -> int:
 def _gate(config: TrackingConfig) -> float:
     """Return the largest difference of windows that show the same feature, grey levels."""
     if config.max_difference is None:
-        return MAX_DIFFERENCE_OF["two-frame"]
+        return DEFAULT_MAX_DIFFERENCE["two-frame"]
     return config.max_difference
 
 

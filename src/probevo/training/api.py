@@ -9,19 +9,19 @@ from operator import add
 from pathlib import Path
 from typing import Any
 
+from probevo.config.training import TrainSettings
+from probevo.config.validation import checked_settings
 from probevo.errors import InputError, brief
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.predictors import PredictionSpace, Predictor
 from probevo.python_arguments import as_path
-from probevo.run_config import checked_settings
 from probevo.storage.files import check_folder, name_as_text
 from probevo.storage.lock import locked
 from probevo.training.checkpoint import Checkpoint, checkpoint_folder
 from probevo.training.gk.thinning import thinned
 from probevo.training.progress import OnProgress, TrainingProgress
 from probevo.training.recording import record_all
-from probevo.training.settings import TrainSettings
 from probevo.training.settings_check import check_settings
 from probevo.training.sources import (
     Recording,

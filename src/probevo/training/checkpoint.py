@@ -10,6 +10,7 @@ from typing import Any
 from probevo import __version__
 from probevo.arrays import AnyArray
 from probevo.camera.stereo import StereoCamera
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.model_io import load_model, save_model
@@ -18,7 +19,6 @@ from probevo.storage.lock import LOCK
 from probevo.storage.npz import read_npz, write_npz
 from probevo.training.lease import LEASE
 from probevo.training.probe.subsets import SubsetErrors
-from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import DriveOnDisk, damage_reported
 
 Iteration = list[SubsetErrors]

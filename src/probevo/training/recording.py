@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from functools import partial
 from threading import Event, Thread
 
+from probevo.config.training import TrainSettings
 from probevo.errors import ProbevoError
 from probevo.predictors import PredictionSpace
 from probevo.training.extraction import Extraction
 from probevo.training.lease import is_valid, leased
-from probevo.training.settings import TrainSettings
 from probevo.training.sources import Source
 from probevo.training.supervised_drive import DriveOnDisk
 from probevo.training.supervision import supervision_of

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from operator import attrgetter
 
+from probevo.config.networks import METHOD_SETTINGS
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
-from probevo.network_settings import OF_METHODS
 from probevo.sensor_kinds import SENSOR_KINDS
-from probevo.training.settings import TrainSettings
 from probevo.training.trainer import trainer_of
 
-OF_SENSORS = ("kind", "nets", "max_frames")
+SENSOR_SETTINGS = ("kind", "nets", "max_frames")
 """Fields of ``TrainSettings`` that the training of a sensor uses."""
 MIN_IN_ENSEMBLE = 2
 """Networks whose estimates have a spread."""
@@ -71,7 +71,7 @@ def check_sensor_settings(settings: TrainSettings) -> None:
     default = TrainSettings()
     kind = SENSOR_KINDS[settings.kind]
     for name in TrainSettings.model_fields:
-        if name not in (*OF_SENSORS, *kind.settings) and getattr(settings, name) != getattr(
+        if name not in (*SENSOR_SETTINGS, *kind.settings) and getattr(settings, name) != getattr(
             default, name
         ):
             flag = "--" + name.replace("_", "-")
@@ -85,10 +85,10 @@ def check_sensor_settings(settings: TrainSettings) -> None:
     if method == "ensemble" and settings.nets.networks < MIN_IN_ENSEMBLE:
         what = "one network has no spread."
         raise InputError("--nets.networks", what, f"Give {MIN_IN_ENSEMBLE} or more.")
-    for other, names in OF_METHODS.items():
+    for other, names in METHOD_SETTINGS.items():
         for name in names:
             is_given = getattr(settings.nets, name) != getattr(default.nets, name)
-            if is_given and name not in OF_METHODS[method]:
+            if is_given and name not in METHOD_SETTINGS[method]:
                 what = f"the method {method} does not take it."
                 cure = f"Leave it out, or take --nets.method {other}."
                 raise InputError(f"--nets.{name}", what, cure)

@@ -12,13 +12,13 @@ import numpy as np
 
 from probevo.camera.likeness import difference_text
 from probevo.camera.stereo import StereoCamera
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_space
 from probevo.run_checks import check_imu
 from probevo.sequences import open_sequence
 from probevo.sequences.base import Sequence
 from probevo.sequences.content import digests_of_first_frames, show_the_same
-from probevo.training.settings import TrainSettings
 from probevo.training.supervision import supervision_of
 from probevo.training.trainer import trainer_of
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.config.training import SupervisionName
 from probevo.errors import InputError
 from probevo.evaluation.trajectory_errors import armse, rigid_alignment
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import compound_chain
 from probevo.sequences.base import Sequence
 from probevo.sequences.stamps import NS_PER_S
-from probevo.training.settings import SupervisionName
 
 MIN_ALPHA_M = 1e-6
 """Smallest error α: a smaller one is due to chance, and its logarithm would weigh most."""

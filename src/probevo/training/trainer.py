@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from probevo.config.training import TrainSettings
 from probevo.entry_points import imported
 from probevo.errors import InputError
 from probevo.noise.base import LearnedNoiseModel
@@ -19,7 +20,6 @@ from probevo.predictors import PredictionSpace
 from probevo.sensor_kinds import SENSOR_KINDS
 from probevo.training.checkpoint import Checkpoint, NoCheckpoint
 from probevo.training.progress import TrainingProgress
-from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.workers import Workers
 

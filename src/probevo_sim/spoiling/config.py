@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
 EffectName = Literal[
     "shake", "flow_blur", "darkness", "exposure", "occluder", "dirt", "jpeg", "dropped", "frozen"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from probevo.config.training import TrainSettings
 from probevo.noise import StudentT
 from probevo.noise.metric import Metric
 from probevo.training.gk.error_samples import (
@@ -12,7 +13,6 @@ from probevo.training.gk.error_samples import (
     blocks_of,
     gather_error_samples,
 )
-from probevo.training.settings import TrainSettings
 from probevo.training.trainer import TrainingContext
 from training.supervised_drives import drive_of, in_memory, point_world
 

@@ -17,6 +17,7 @@ import pytest
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.errors import InputError
 from probevo.noise import GeneralizedKernel, NoiseModel, StudentT
 from probevo.noise.base import LearnedNoiseModel
@@ -34,7 +35,6 @@ from probevo.training.gk.expectation_maximization import (
     learn_student_t,
 )
 from probevo.training.progress import TrainingProgress
-from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.trainer import TrainingContext, trainer_of
 from probevo_sim.point_config import PointConfig

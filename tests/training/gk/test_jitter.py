@@ -9,6 +9,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig, SolverConfig
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise import StudentT
@@ -16,7 +17,6 @@ from probevo.noise.metric import Metric
 from probevo.training.gk.expectation_maximization import learn_kernel, learn_student_t
 from probevo.training.gk.jitter import CommonUnknowns, initial_covariance, learned_covariance
 from probevo.training.progress import TrainingProgress
-from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.trainer import TrainingContext
 from probevo_sim.point_world import PointWorld

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import IntArray
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.noise.probe.nearest_neighbors import Average
 from probevo.training.checkpoint import Iteration
@@ -15,7 +16,6 @@ from probevo.training.probe.samples import (
     gather_samples,
 )
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
-from probevo.training.settings import TrainSettings
 from probevo.training.supervision import Supervision
 from training.supervised_drives import drive_of, known, point_world, sampler_of
 

@@ -8,6 +8,7 @@ import pytest
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.config import SolverConfig
+from probevo.config.training import TrainSettings
 from probevo.noise import Fixed, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
@@ -26,7 +27,6 @@ from probevo.training.probe.selection import (
     weighted_motions,
 )
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
-from probevo.training.settings import TrainSettings
 from probevo.training.supervision import from_step_to_step
 from probevo_sim.point_world import PointWorld
 from training.supervised_drives import (

@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 
 from probevo.arrays import AnyArray
+from probevo.config.settings import Settings
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
 from probevo.noise.fixed import Fixed
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_t import StudentT
-from probevo.settings import Settings
 
 PREFIX = "base_"
 """What the names of its arrays begin with."""

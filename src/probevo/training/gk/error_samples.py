@@ -10,12 +10,12 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
+from probevo.config.training import KernelSettings, TrainSettings
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.student_t_numba import MIN_SIGMA_PX
 from probevo.training.gk.expectation import expect
-from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.supervision import Supervision
 from probevo.training.trainer import TrainingContext

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.config.training import TrainSettings
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.student_t import StudentT
 from probevo.training.gk.error_samples import (
@@ -33,7 +34,6 @@ from probevo.training.gk.error_samples import (
 from probevo.training.gk.jitter import initial_covariance, learned_covariance
 from probevo.training.gk.recording_factors import fit_with_factors, recording_factors
 from probevo.training.gk.time_correlation import TimeCorrelationProfile, smallest_likely_ratio
-from probevo.training.settings import TrainSettings
 from probevo.training.trainer import TrainingContext
 
 STATIC_ITERATIONS = 5

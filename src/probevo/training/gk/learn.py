@@ -5,6 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.config.training import (
+    KERNEL_ONLY,
+    KERNEL_PREDICTORS,
+    PROBE_ONLY,
+    KernelSettings,
+    TrainSettings,
+)
 from probevo.errors import InputError
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.predictors import PredictionSpace
@@ -13,13 +20,6 @@ from probevo.training.gk.expectation_maximization import (
     learn_student_t,
     num_iterations,
     num_static_iterations,
-)
-from probevo.training.settings import (
-    KERNEL_ONLY,
-    KERNEL_PREDICTORS,
-    PROBE_ONLY,
-    KernelSettings,
-    TrainSettings,
 )
 from probevo.training.trainer import OTHER_KIND, Trainer, TrainingContext
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from probevo.config.training import PROBE_PREDICTORS, KernelSettings, TrainSettings
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.registry import untrained_model
@@ -16,7 +17,6 @@ from probevo.training.drive import joined
 from probevo.training.probe.fitting import fit_model
 from probevo.training.probe.samples import gather_samples
 from probevo.training.probe.subsets import SubsetErrors, SubsetSampler
-from probevo.training.settings import PROBE_PREDICTORS, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.trainer import OTHER_KIND, Trainer, TrainingContext
 

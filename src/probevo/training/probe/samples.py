@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.config.training import TrainSettings
 from probevo.errors import InputError
 from probevo.training.checkpoint import Iteration
 from probevo.training.probe.subsets import SubsetSampler
-from probevo.training.settings import TrainSettings
 
 FOLDS = 5
 BLOCKS_A_DRIVE = 10

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig
-from probevo.network_settings import NetworkSettings
-from probevo.settings import Settings
+from probevo.config.networks import NetworkSettings
+from probevo.config.settings import Settings
 
 SupervisionName = Literal["gt", "sparse", "position", "loop", "none"]
 BaseName = Literal["fixed", "student-t"]

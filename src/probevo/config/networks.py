@@ -7,10 +7,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
 MethodName = Literal["hydra-sigma", "dropout", "ensemble"]
-OF_METHODS: Mapping[MethodName, tuple[str, ...]] = {
+METHOD_SETTINGS: Mapping[MethodName, tuple[str, ...]] = {
     "hydra-sigma": ("heads", "networks"),
     "dropout": ("dropout", "passes"),
     "ensemble": ("networks",),

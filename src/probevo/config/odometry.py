@@ -6,9 +6,9 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from probevo.settings import Settings
+from probevo.config.settings import Settings
 
-MAX_DIFFERENCE_OF = {"two-frame": 6.0, "window": 20.0}
+DEFAULT_MAX_DIFFERENCE = {"two-frame": 6.0, "window": 20.0}
 """Default of ``max_difference`` by estimator, grey levels. With a window, 20, 40 and 255 give the
 same accuracy. With two frames, 20 instead of 6 loses up to a quarter in rotation on some
 recordings, and gains a fifth on others."""
@@ -343,7 +343,7 @@ class OdometryConfig(Settings):
         if self.tracking.max_difference is not None:
             return self.tracking
         return self.tracking.model_copy(
-            update={"max_difference": MAX_DIFFERENCE_OF[self.estimator]}
+            update={"max_difference": DEFAULT_MAX_DIFFERENCE[self.estimator]}
         )
 
     @model_validator(mode="after")
