@@ -125,9 +125,9 @@ def coverage(world: PointWorld, model: pv.noise.NoiseModel) -> list[float]:
             guess=step.T_curr_prev,
             max_iterations=0,
         )
-        scale = np.linalg.inv(at_truth.information)
+        scale = np.linalg.inv(at_truth.features.information)
         residual_noise = pv.noise.StereoNoise(scale, noise.dof, np.zeros((len(scale), 4)))
-        for level, share in feature_coverage(residual_noise, at_truth.residuals).items():
+        for level, share in feature_coverage(residual_noise, at_truth.features.residuals).items():
             shares[level].append(share)
     return [float(np.mean(values)) for values in shares.values()]
 

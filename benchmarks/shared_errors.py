@@ -86,8 +86,10 @@ def correlations(solved: list[Step], lag: int) -> FloatArray:
     """Return the correlation of residuals of neighbours so many frames apart, [4]."""
     usual: list[tuple[IntArray, FloatArray, FloatArray]] = []
     for tracks, solution in solved:
-        keep = solution.weight >= USUAL
-        usual.append((tracks.ids[keep], tracks.curr_px[keep, :2], solution.residuals[keep]))
+        keep = solution.features.weight >= USUAL
+        usual.append(
+            (tracks.ids[keep], tracks.curr_px[keep, :2], solution.features.residuals[keep])
+        )
     products = np.zeros(4)
     count = 0
     for one, other in zip(usual, usual[lag:], strict=False):
@@ -101,19 +103,19 @@ def correlations(solved: list[Step], lag: int) -> FloatArray:
 
 def added(tracks: Tracks, solution: ReprojectionSolution) -> float:
     """Return what errors of neighbours add to the covariance of a motion, as a share of it."""
-    information = solution.information
+    features = solution.features
     jacobian = solution.full_jacobian
     # The contribution of a feature is H⁻¹ w Jᵀ Σ⁻¹ e, with the curvature of the loss in H.
-    scores = np.einsum("nij,nik,nk->nj", jacobian, information, solution.residuals)
-    scores *= solution.irls_weight[:, None]
-    own = np.einsum("nij,nik,nkl->njl", jacobian, information, jacobian)
-    hessian = np.einsum("n,njl->jl", solution.curvature, own)
+    scores = np.einsum("nij,nik,nk->nj", jacobian, features.information, features.residuals)
+    scores *= features.irls_weight[:, None]
+    own = np.einsum("nij,nik,nkl->njl", jacobian, features.information, jacobian)
+    hessian = np.einsum("n,njl->jl", features.curvature, own)
     prior = np.arange(len(hessian)) >= 6  # the jitter has a prior of unit covariance
-    hessian[prior, prior] += solution.irls_weight.mean()
+    hessian[prior, prior] += features.irls_weight.mean()
     contributions = np.linalg.solve(hessian, scores.T)[:6]
     z = np.linalg.solve(np.linalg.cholesky(solution.cov), contributions).T
     # Independent errors have E[z_iᵀ z_j] = −s tr(P_i P_j), P_i the share of i in the information.
-    of_motion = solution.irls_weight[:, None, None] * own[:, :6, :6]
+    of_motion = features.irls_weight[:, None, None] * own[:, :6, :6]
     shares = np.linalg.solve(of_motion.sum(axis=0), of_motion)
     flat = shares.reshape(len(z), -1)
     independent = -flat @ np.swapaxes(shares, 1, 2).reshape(len(z), -1).T

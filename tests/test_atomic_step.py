@@ -282,7 +282,7 @@ STAGES = {
     "noise": Stage("probevo.noise:NearestNeighbors", "predict"),
     "solve": Stage("probevo.estimation.two_frame", "solve_reprojection"),
     "disparity filter": Stage(
-        "probevo.estimation.two_frame", "update_with_common_mode", content=WITHOUT_WINDOW
+        "probevo.estimation.two_frame", "update_with_latent_errors", content=WITHOUT_WINDOW
     ),
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
     "solve from two frames": Stage("probevo.estimation.visual_motion", "evaluated_at"),

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from probevo.camera.distortion_field import (
-    COMMON_MODES,
     DISPARITY_MODES,
+    DISPLACEMENT_MODES,
     NUM_COEFFICIENTS,
     image_plane,
     modes_at,
@@ -50,7 +50,7 @@ def test_fields_have_no_mode_that_another_estimate_has() -> None:
     one = np.ones_like(x)
     affine = np.column_stack([one, x, y])
     parabola = np.column_stack([one, x, x * x])
-    for basis, chosen in ((affine, COMMON_MODES), (parabola, DISPARITY_MODES)):
+    for basis, chosen in ((affine, DISPLACEMENT_MODES), (parabola, DISPARITY_MODES)):
         # Independent of what is left out: neither set can be made of the other.
         both = np.column_stack([basis, modes[:, chosen]])
         assert np.linalg.matrix_rank(both) == basis.shape[1] + len(chosen)

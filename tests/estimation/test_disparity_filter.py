@@ -16,7 +16,7 @@ from probevo.estimation.disparity_filter import (
     DisparityFilter,
     StackedErrors,
     update_at_known_motion,
-    update_with_common_mode,
+    update_with_latent_errors,
 )
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.evaluation.consistency import drift_covariances
@@ -264,7 +264,7 @@ class SolvedDrive:
                 guess=STEP,
             )
             if filters:
-                solution, disparities = update_with_common_mode(
+                solution, disparities = update_with_latent_errors(
                     prior,
                     tracks,
                     noise,
@@ -354,7 +354,7 @@ def test_only_inliers_in_front_of_the_camera_are_kept() -> None:
     seen = views(points_m(np.random.default_rng(4), 6), 1)
     tracks = tracks_of(seen[0], seen[1], np.array([9, 4, 7, 1, 3, 8]))
     solution = evaluate_at(tracks, NOISE, DisparityFilter.none())
-    solution.information[3] = 0.0
+    solution.features.information[3] = 0.0
     disparities, _ = update_at_known_motion(
         DisparityFilter.none().of_tracks(tracks),
         tracks,
@@ -384,8 +384,8 @@ def test_a_changed_measurement_of_the_last_frame_is_taken_up_by_the_error() -> N
     np.testing.assert_allclose(of_changed.error, of_same.error + 0.3, atol=1e-9)
     np.testing.assert_array_equal(of_changed.disparity, of_same.disparity)
     np.testing.assert_allclose(
-        evaluate_at(changed, NOISE, disparities).residuals,
-        evaluate_at(same, NOISE, disparities).residuals,
+        evaluate_at(changed, NOISE, disparities).features.residuals,
+        evaluate_at(same, NOISE, disparities).features.residuals,
         atol=1e-9,
     )
 
@@ -403,7 +403,7 @@ def test_without_inliers_nothing_is_kept() -> None:
             ),
             guess=STEP,
         )
-        solution, disparities = update_with_common_mode(
+        solution, disparities = update_with_latent_errors(
             prior,
             tracks,
             noise,
@@ -423,7 +423,7 @@ def test_a_step_that_fixes_no_motion_stays_as_it_is_and_empties_the_filter() -> 
     solution = solve_reprojection(
         StereoObservations.of(far.prev_px, far.curr_px, noise, camera=CAMERA), guess=np.eye(4)
     )
-    same, disparities = update_with_common_mode(
+    same, disparities = update_with_latent_errors(
         DisparityFilter.none().of_tracks(far),
         far,
         noise,
@@ -446,7 +446,7 @@ def test_without_time_correlated_errors_there_is_nothing_to_filter() -> None:
 
 
 @pytest.mark.parametrize("jitter_cov", [None, JITTER_COV])
-def test_the_stacked_errors_are_the_unknowns_of_the_solve_and_then_the_common_mode(
+def test_the_stacked_errors_are_the_unknowns_of_the_solve_and_then_the_latent_ones(
     jitter_cov: FloatArray | None,
 ) -> None:
     prev_px, curr_px = views(points_m(np.random.default_rng(0), 50), 1)
@@ -457,14 +457,14 @@ def test_the_stacked_errors_are_the_unknowns_of_the_solve_and_then_the_common_mo
     places = np.arange(errors.size)
     parts = np.concatenate([places[part] for part in errors])
     np.testing.assert_array_equal(parts, places)
-    assert errors.common_mode.start == solution.full_jacobian.shape[2]
+    assert errors.latent.start == solution.full_jacobian.shape[2]
 
 
 @pytest.mark.parametrize("jitter_cov", [None, JITTER_COV])
 def test_a_motion_that_is_as_uncertain_as_by_the_features_has_their_joint_posterior(
     jitter_cov: FloatArray | None,
 ) -> None:
-    """Motion and common-mode errors then have the covariance of a step that solves for both; with a
+    """Motion and latent errors then have the covariance of a step that solves for both; with a
     motion that is all but exact, the disparities are known better."""
     steps = drive(np.random.default_rng(3), 6, 10)
     if jitter_cov is not None:
@@ -484,7 +484,7 @@ def test_a_motion_that_is_as_uncertain_as_by_the_features_has_their_joint_poster
             guess=STEP,
         )
         inliers = np.ones(len(tracks), np.bool_)
-        solved, disparities = update_with_common_mode(
+        solved, disparities = update_with_latent_errors(
             prior, tracks, noise, solution=solution, camera=CAMERA, inliers=inliers
         )
     found = {}

@@ -15,10 +15,10 @@ from probevo.estimation.feature_weights import (
     scale_of_residuals,
     tail_probability_of,
 )
-from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.estimation.reprojection import SolvedFeatures
 
 
-def solution(squared: FloatArray, dof: float) -> ReprojectionSolution:
+def features(squared: FloatArray, dof: float) -> SolvedFeatures:
     """All that is looked at."""
     weight = dof / (dof + squared) if np.isfinite(dof) else np.ones_like(squared)
     return SimpleNamespace(mahalanobis_sq=squared, weight=weight)  # type: ignore[return-value]
@@ -28,7 +28,7 @@ def test_at_the_reference_dof_it_is_the_robust_weight() -> None:
     squared = np.geomspace(1e-6, 1e6, 50)
     expected = REFERENCE_DOF / (REFERENCE_DOF + squared)
     np.testing.assert_allclose(
-        comparable_weights(solution(squared, REFERENCE_DOF), np.full(50, REFERENCE_DOF)),
+        comparable_weights(features(squared, REFERENCE_DOF), np.full(50, REFERENCE_DOF)),
         expected,
         rtol=1e-12,
     )
@@ -41,14 +41,14 @@ def test_as_many_are_inliers_whatever_the_tails(dof: float) -> None:
     ranks = (np.arange(20_000) + 0.5) / 20_000
     reference, own = (f_distribution.ppf(ranks, 4, nu) * 4.0 for nu in (REFERENCE_DOF, dof))
     expected = (REFERENCE_DOF / (REFERENCE_DOF + reference) >= INLIER_FROM).mean()
-    weights = comparable_weights(solution(own, dof), np.full(len(own), dof))
+    weights = comparable_weights(features(own, dof), np.full(len(own), dof))
     assert (weights >= INLIER_FROM).mean() == pytest.approx(expected, abs=2e-3)
 
 
 @pytest.mark.parametrize("dof", [1.0, 1.6, 3.0, 8.0, 200.0])
 def test_it_falls_from_one_to_nothing(dof: float) -> None:
     squared = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 200), [1e300]])
-    found = comparable_weights(solution(squared, dof), np.full(len(squared), dof))
+    found = comparable_weights(features(squared, dof), np.full(len(squared), dof))
     assert found[0] == 1.0
     assert (np.diff(found) <= 0.0).all()
     assert found[-1] == pytest.approx(0.0, abs=1e-3)
@@ -57,7 +57,7 @@ def test_it_falls_from_one_to_nothing(dof: float) -> None:
 def test_what_has_no_robust_weight_keeps_the_one_it_has() -> None:
     """Gaussian features, and such behind the camera."""
     squared = np.array([0.0, 1e6])
-    gaussian = comparable_weights(solution(squared, np.inf), np.full(2, np.inf))
+    gaussian = comparable_weights(features(squared, np.inf), np.full(2, np.inf))
     np.testing.assert_array_equal(gaussian, [1.0, 1.0])
     behind = SimpleNamespace(mahalanobis_sq=np.array([1e4]), weight=np.zeros(1))
     np.testing.assert_array_equal(comparable_weights(behind, np.full(1, 2.0)), [0.0])
@@ -66,7 +66,7 @@ def test_what_has_no_robust_weight_keeps_the_one_it_has() -> None:
 @pytest.mark.parametrize("loss", ["l2", "huber", "cauchy", "tukey"])
 def test_under_another_loss_it_is_the_robust_weight_of_that_loss(loss: str) -> None:
     squared = np.geomspace(1e-3, 1e3, 20)
-    found = solution(squared, 3.0)
+    found = features(squared, 3.0)
     dof = np.full(20, 3.0)
     np.testing.assert_array_equal(feature_weights(found, dof, loss), found.weight)
     comparable = comparable_weights(found, dof)

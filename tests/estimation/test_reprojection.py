@@ -219,7 +219,7 @@ def test_residual_noise_is_taken_as_it_is() -> None:
         guess=GUESS,
     )
     assert np.abs(error_of(solution.T_curr_prev)).max() < 1e-6
-    assert np.allclose(solution.information, 25.0 * np.eye(4))
+    assert np.allclose(solution.features.information, 25.0 * np.eye(4))
 
 
 @pytest.mark.parametrize("name", ["l2", "huber", "cauchy", "tukey"])
@@ -246,7 +246,7 @@ def test_outliers_hardly_move_a_robust_solve() -> None:
     seen.curr_px[:40] += rng.uniform(-30.0, 30.0, (40, 4))
     solution = solve(seen, StudentT())
     assert np.abs(error_of(solution.T_curr_prev)[:3]).max() < 0.02
-    assert solution.weight[:40].mean() < 0.1
+    assert solution.features.weight[:40].mean() < 0.1
 
 
 def test_measured_rotation_pulls_by_its_information() -> None:
@@ -282,7 +282,7 @@ def test_points_that_pass_behind_the_camera_do_not_contribute() -> None:
     )  # half a metre ahead: the camera drives through it
     seen = Scene(np.vstack([clean.prev_px, near]), np.vstack([clean.curr_px, near]))
     solution = solve(seen, Fixed())
-    assert solution.weight[-1] == 0.0
+    assert solution.features.weight[-1] == 0.0
     assert np.abs(error_of(solution.T_curr_prev)).max() < 1e-6
 
 

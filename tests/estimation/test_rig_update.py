@@ -344,8 +344,10 @@ def test_common_mode_error_is_that_of_the_joint_covariance() -> None:
     solution = solve(tracks, StudentT())
     _, common_mode = update_rig(rig, tracks, solution, CAMERA, TWISTS)
     D = calibration_sensitivity(tracks, solution, CAMERA, TWISTS)[:, :, : 1 + NUM_ERRORS]
-    weighted = solution.irls_weight[:, None, None] * (solution.information @ D)
-    gain = np.linalg.solve(solution.hessian, np.einsum("nij,nik->jk", solution.jacobian, weighted))
+    weighted = solution.features.irls_weight[:, None, None] * (solution.features.information @ D)
+    gain = np.linalg.solve(
+        solution.hessian, np.einsum("nij,nik->jk", solution.features.jacobian, weighted)
+    )
     covariance = np.zeros((1 + NUM_ERRORS, 1 + NUM_ERRORS))
     covariance[0, 0] = CONSTANT_SIGMA_PX**2
     covariance[1:, 1:] = rig.image.cov
@@ -417,7 +419,7 @@ def test_features_that_a_loss_has_rejected_teach_nothing() -> None:
     solution = solve(tracks, StudentT())
     nothing = replace(
         solution,
-        irls_weight=np.zeros(60),
+        features=replace(solution.features, irls_weight=np.zeros(60)),
         hessian=np.zeros_like(solution.hessian),
     )
     after, common_mode = update_rig(rig, tracks, nothing, CAMERA, TWISTS)

@@ -93,7 +93,7 @@ def test_cost_is_that_of_the_solve(
         for track in range(len(factors))
     ]
     # The solve linearises at points that it has refined once.
-    np.testing.assert_allclose(squared, solution.mahalanobis_sq, rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(squared, solution.features.mahalanobis_sq, rtol=2e-3, atol=1e-3)
 
 
 def test_derivatives_against_central_differences() -> None:

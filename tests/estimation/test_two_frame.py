@@ -11,7 +11,7 @@ import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.errors import InputError
-from probevo.estimation.disparity_filter import DisparityFilter, update_with_common_mode
+from probevo.estimation.disparity_filter import DisparityFilter, update_with_latent_errors
 from probevo.estimation.feature_weights import INLIER_FROM, feature_weights
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import TwoFrameEstimator
@@ -127,8 +127,8 @@ def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:
         guess=aligned.T_curr_prev,
         max_iterations=0,
     )
-    np.testing.assert_array_equal(aligned.residuals, there.residuals)
-    np.testing.assert_array_equal(aligned.weight, there.weight)
+    np.testing.assert_array_equal(aligned.features.residuals, there.features.residuals)
+    np.testing.assert_array_equal(aligned.features.weight, there.features.weight)
     assert aligned.iterations > 0
 
 
@@ -179,7 +179,7 @@ def test_without_iterations_the_guess_is_kept() -> None:
     assert there.converged
     predicted = CAMERA.project(se3.transform(guess, CAMERA.triangulate(tracks.prev_px)))
     plain = tracks.curr_px - predicted
-    assert np.corrcoef(there.residuals.ravel(), plain.ravel())[0, 1] > 0.99
+    assert np.corrcoef(there.features.residuals.ravel(), plain.ravel())[0, 1] > 0.99
     assert np.isfinite(there.cov).all()
 
 
@@ -202,7 +202,9 @@ def test_estimate_without_history_is_the_solve(method: Method) -> None:
     estimate = estimator.estimate(tracks, noise, DisparityFilter.none(), guess=GUESS)
     np.testing.assert_allclose(estimate.solution.T_curr_prev, solution.T_curr_prev, atol=1e-12)
     np.testing.assert_allclose(estimate.solution.cov, solution.cov, rtol=1e-9)
-    np.testing.assert_array_equal(estimate.weights, feature_weights(solution, noise.dof, "noise"))
+    np.testing.assert_array_equal(
+        estimate.weights, feature_weights(solution.features, noise.dof, "noise")
+    )
     assert not estimate.has_history.any()
     inliers = tracks.ids[estimate.weights >= INLIER_FROM] if method == "reprojection" else []
     np.testing.assert_array_equal(estimate.disparities.ids, inliers)
@@ -222,8 +224,8 @@ def test_estimate_with_history_is_a_solve_with_a_disparity_prior() -> None:
         ),
         guess=FORWARD,
     )
-    weights = feature_weights(solution, noise.dof, "noise")
-    expected, after = update_with_common_mode(
+    weights = feature_weights(solution.features, noise.dof, "noise")
+    expected, after = update_with_latent_errors(
         prior, second, noise, solution=solution, camera=CAMERA, inliers=weights >= INLIER_FROM
     )
     assert estimate.has_history.any()
@@ -254,7 +256,7 @@ def test_evaluate_keeps_the_given_motion_and_filters_the_disparities() -> None:
         max_iterations=0,
     )
     np.testing.assert_array_equal(estimate.solution.T_curr_prev, FORWARD)
-    np.testing.assert_array_equal(estimate.solution.residuals, there.residuals)
+    np.testing.assert_array_equal(estimate.solution.features.residuals, there.features.residuals)
     np.testing.assert_array_equal(estimate.disparities.path_cross_cov, 0.0)
     np.testing.assert_array_equal(estimate.disparities.common, 0.0)
     np.testing.assert_array_equal(

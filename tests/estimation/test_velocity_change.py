@@ -87,7 +87,7 @@ def test_the_change_acts_on_the_residuals_as_its_sensitivity_says() -> None:
     numeric = np.stack([(residuals(h) - residuals(-h)) / 2e-4 for h in steps], axis=2)
     noise = Fixed().predict(np.zeros((len(tracks), 0)))
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA)
-    refined = solve_reprojection(observations, guess=TURN).refined
+    refined = solve_reprojection(observations, guess=TURN).features.refined
     sensitivity = change_sensitivity(TURN, READOUT_S, DURATION_S, CAMERA, refined=refined)
     # It is to first order in the readout time, in which a point moves by a hundredth of its depth.
     np.testing.assert_allclose(sensitivity, numeric, atol=0.02 * np.abs(numeric).max())

@@ -207,7 +207,7 @@ def test_outliers_of_the_consensus_have_no_weight_and_no_part_in_the_solve() -> 
     assert visual.weights[30:].mean() > 0.5
     assert not visual.used[:30].any()
     assert visual.solution is not None
-    assert len(visual.solution.weight) == visual.used.sum()
+    assert len(visual.solution.features.weight) == visual.used.sum()
 
 
 def test_features_out_of_domain_are_counted_among_those_used() -> None:
@@ -541,7 +541,7 @@ def test_what_two_frames_say_leaves_out_the_gyro() -> None:
         max_iterations=0,
     )
     np.testing.assert_array_equal(without.hessian, evaluated.hessian)
-    np.testing.assert_array_equal(without.residuals, evaluated.residuals)
+    np.testing.assert_array_equal(without.features.residuals, evaluated.features.residuals)
     sigma_rad = np.sqrt(np.diagonal(with_gyro.cov)[3:])
     assert (sigma_rad < 0.5 * np.sqrt(np.diagonal(without.cov)[3:])).all()
     plain = estimate(tracks, gyro=gyro)

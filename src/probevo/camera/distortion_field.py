@@ -41,11 +41,11 @@ from probevo.camera.distortion_field_numba import (
 from probevo.camera.stereo import StereoCamera
 
 _I, _J = np.divmod(np.arange(MODE_COLUMNS * MODE_ROWS), MODE_ROWS)
-COMMON_MODES = np.flatnonzero(_I + _J > 1)
+DISPLACEMENT_MODES = np.flatnonzero(_I + _J > 1)
 """Modes of c_u and c_v, of all products P_i(x) P_j(y), counted row by row: i MODE_ROWS + j."""
 DISPARITY_MODES = np.flatnonzero((_I > 2) & (_J == 0))
 """Modes of c_d."""
-NUM_COEFFICIENTS = 2 * len(COMMON_MODES) + len(DISPARITY_MODES)
+NUM_COEFFICIENTS = 2 * len(DISPLACEMENT_MODES) + len(DISPARITY_MODES)
 """Coefficients of c_u, c_v and c_d, in this order."""
 
 
@@ -70,7 +70,7 @@ def root_mean_square_px(coefficients: FloatArray) -> tuple[float, float]:
     """
     # The mean square of P_i(x) P_j(y) over the image is 1/((2i + 1)(2j + 1)).
     mean_square = 1.0 / ((2.0 * _I + 1.0) * (2.0 * _J + 1.0))
-    common = np.concatenate([mean_square[COMMON_MODES]] * 2)
-    common_px2 = common @ coefficients[: len(common)] ** 2
-    disparity_px2 = mean_square[DISPARITY_MODES] @ coefficients[len(common) :] ** 2
-    return math.sqrt(common_px2), math.sqrt(disparity_px2)
+    weights = np.concatenate([mean_square[DISPLACEMENT_MODES]] * 2)
+    displacement_px2 = weights @ coefficients[: len(weights)] ** 2
+    disparity_px2 = mean_square[DISPARITY_MODES] @ coefficients[len(weights) :] ** 2
+    return math.sqrt(displacement_px2), math.sqrt(disparity_px2)

@@ -30,7 +30,7 @@ class FieldModes(NamedTuple):
     """[N, MODE_COLUMNS MODE_ROWS]."""
     curr: FloatArray
     """[N, MODE_COLUMNS MODE_ROWS]."""
-    common_modes: IntArray
+    displacement_modes: IntArray
     """Indices of the modes of c_u and c_v."""
     disparity_modes: IntArray
     """Indices of the modes of c_d."""
@@ -73,7 +73,7 @@ def correct_by_field(
     modes: FloatArray,
     coefficients: FloatArray,
     *,
-    common_modes: IntArray,
+    displacement_modes: IntArray,
     disparity_modes: IntArray,
 ) -> None:
     """Take the errors of the field out of N observations, [N, 4], px, in place.
@@ -82,20 +82,20 @@ def correct_by_field(
         pixels: the observations.
         modes: P_i(x) P_j(y) at these, [N, MODE_COLUMNS MODE_ROWS].
         coefficients: of c_u, c_v and c_d, px.
-        common_modes: indices of the modes of c_u and c_v.
+        displacement_modes: indices of the modes of c_u and c_v.
         disparity_modes: indices of the modes of c_d.
     """
-    common = len(common_modes)
+    num_displacement = len(displacement_modes)
     for n in range(len(pixels)):
         u_px = 0.0
         v_px = 0.0
         d_px = 0.0
-        for k in range(common):
-            mode = modes[n, common_modes[k]]
+        for k in range(num_displacement):
+            mode = modes[n, displacement_modes[k]]
             u_px += coefficients[k] * mode
-            v_px += coefficients[common + k] * mode
+            v_px += coefficients[num_displacement + k] * mode
         for k in range(len(disparity_modes)):
-            d_px += coefficients[2 * common + k] * modes[n, disparity_modes[k]]
+            d_px += coefficients[2 * num_displacement + k] * modes[n, disparity_modes[k]]
         pixels[n, 0] += u_px
         pixels[n, 1] += v_px
         pixels[n, 2] += u_px - d_px
@@ -149,7 +149,7 @@ def field_sensitivities(
         modes: the modes of the field at these features.
         sensitivity: filled in; zero behind the camera.
     """
-    common = len(modes.common_modes)
+    num_displacement = len(modes.displacement_modes)
     for n in range(len(refined)):
         X, Y, Z, rho = move_point(T, camera, refined[n])
         if Z < NEAREST:
@@ -163,20 +163,20 @@ def field_sensitivities(
         u_by_v = camera.fu / camera.fv * (T[0, 1] - T[2, 1] * X / Z) / Z
         v_by_v = (T[1, 1] - T[2, 1] * Y / Z) / Z
         d_by_v = -T[2, 1] * d_curr / (camera.fv * Z)
-        for k in range(common):
-            before = modes.prev[n, modes.common_modes[k]]
-            now = modes.curr[n, modes.common_modes[k]]
+        for k in range(num_displacement):
+            before = modes.prev[n, modes.displacement_modes[k]]
+            now = modes.curr[n, modes.displacement_modes[k]]
             sensitivity[n, 0, k] = now - u_by_u * before
             sensitivity[n, 1, k] = -v_by_u * before
             sensitivity[n, 2, k] = now - (u_by_u - d_by_u) * before
             sensitivity[n, 3, k] = -v_by_u * before
-            sensitivity[n, 0, common + k] = -u_by_v * before
-            sensitivity[n, 1, common + k] = now - v_by_v * before
-            sensitivity[n, 2, common + k] = -(u_by_v - d_by_v) * before
-            sensitivity[n, 3, common + k] = now - v_by_v * before
+            sensitivity[n, 0, num_displacement + k] = -u_by_v * before
+            sensitivity[n, 1, num_displacement + k] = now - v_by_v * before
+            sensitivity[n, 2, num_displacement + k] = -(u_by_v - d_by_v) * before
+            sensitivity[n, 3, num_displacement + k] = now - v_by_v * before
         for k in range(len(modes.disparity_modes)):
             before = modes.prev[n, modes.disparity_modes[k]]
             now = modes.curr[n, modes.disparity_modes[k]]
             for i in range(4):
-                sensitivity[n, i, 2 * common + k] = -disparity_jacobian[n, i] * before
-            sensitivity[n, 2, 2 * common + k] -= now
+                sensitivity[n, i, 2 * num_displacement + k] = -disparity_jacobian[n, i] * before
+            sensitivity[n, 2, 2 * num_displacement + k] -= now

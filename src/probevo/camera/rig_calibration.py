@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.distortion_field import COMMON_MODES, DISPARITY_MODES, modes_at
+from probevo.camera.distortion_field import DISPARITY_MODES, DISPLACEMENT_MODES, modes_at
 from probevo.camera.distortion_field_numba import correct_by_field
 from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.focal_length import FocalLengthEstimate
@@ -166,7 +166,7 @@ class RigCalibration:
             corrected,
             modes,
             self.image.distortion,
-            common_modes=COMMON_MODES,
+            displacement_modes=DISPLACEMENT_MODES,
             disparity_modes=DISPARITY_MODES,
         )
         return corrected

@@ -9,13 +9,13 @@ state of a track is therefore x = (d, δ): its true disparity, and the error of 
 first observation gives d = measured and δ = 0, with covariance [[S_dd + τ², −τ²], [−τ², τ²]]. Every
 further one is a Kalman update with the residual of the motion's solve.
 
-**Common-mode errors.** The motion that turns parallax into disparity is uncertain, too, and its
+**Latent errors.** The motion that turns parallax into disparity is uncertain, too, and its
 error is the same for all tracks. If it were taken as known, 300 tracks that are all 1 % too near
 would become certain of their disparities to 0.1 %. The error of x is therefore ε + U c, where ε is
-independent for each track and the six common-mode errors c ~ N(0, I) are the same for all. Motion
-and common mode are estimated jointly, ξ and c from e = J ξ + H U c + …. Their posterior has twelve
-directions. The six that move the tracks most are kept as the next common mode; the others are added
-to ε.
+independent for each track and the six latent errors c ~ N(0, I) are the same for all. Motion
+and latent errors are estimated jointly, ξ and c from e = J ξ + H U c + …. Their posterior has
+twelve directions. The six that move the tracks most are kept as the next latent errors; the others
+are added to ε.
 
 **Jitter.** If the noise model has a jitter of the rig, the jitters of both frames, η, are estimated
 with the motion. That of the previous frame has moved all disparities measured in it, so what is
@@ -40,14 +40,14 @@ from probevo.arrays import BoolArray, FloatArray, IntArray, rows_of
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST
 from probevo.estimation.disparity_filter_numba import (
-    COMMON,
-    CommonModeEquations,
+    NUM_LATENT,
+    LatentEquations,
     LinearizedFeatures,
     PosteriorStates,
     PriorStates,
     add_squares,
-    common_mode_equations,
     joint_posterior,
+    latent_equations,
     split_rows,
     update_states,
     whiten,
@@ -85,8 +85,8 @@ class StackedErrors(NamedTuple):
     prior."""
     prev_jitter: slice
     """η°, the same for the previous frame, [3] or [0]."""
-    common_mode: slice
-    """c ~ N(0, I), the common-mode errors of the disparities in the filter, [6]."""
+    latent: slice
+    """c ~ N(0, I), the latent errors of the disparities in the filter, [6]."""
 
     @staticmethod
     def of(jitter: SolvedJitter | None) -> StackedErrors:
@@ -96,7 +96,7 @@ class StackedErrors(NamedTuple):
             motion=slice(0, 6),
             curr_jitter=slice(6, 6 + axes),
             prev_jitter=slice(6 + axes, 6 + 2 * axes),
-            common_mode=slice(6 + 2 * axes, 6 + 2 * axes + COMMON),
+            latent=slice(6 + 2 * axes, 6 + 2 * axes + NUM_LATENT),
         )
 
     @property
@@ -108,13 +108,13 @@ class StackedErrors(NamedTuple):
     @property
     def size(self) -> int:
         """Length of z, 12, or 18 with a jitter."""
-        return int(self.common_mode.stop)
+        return int(self.latent.stop)
 
 
 class StepCorrelation(NamedTuple):
     """What correlates the error of a step's motion with those of the steps before and after it.
 
-    The common-mode errors c, of covariance I before and after each step, mediate the correlation:
+    The latent errors c, of covariance I before and after each step, mediate the correlation:
     given them, the errors of two successive steps are independent.
     """
 
@@ -130,9 +130,9 @@ class StepCorrelation(NamedTuple):
     def none() -> StepCorrelation:
         """Return the correlation of a step whose error is independent of all others."""
         return StepCorrelation(
-            with_before=np.zeros((6, COMMON)),
-            with_after=np.zeros((6, COMMON)),
-            transition=np.zeros((COMMON, COMMON)),
+            with_before=np.zeros((6, NUM_LATENT)),
+            with_after=np.zeros((6, NUM_LATENT)),
+            transition=np.zeros((NUM_LATENT, NUM_LATENT)),
         )
 
 
@@ -149,7 +149,7 @@ class DisparityFilter:
     measured_px: FloatArray
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
-    """∂(d, δ)/∂c of the common-mode errors c ~ N(0, I), [M, 2, K], px: first the three of the rig's
+    """∂(d, δ)/∂c of the latent errors c ~ N(0, I), [M, 2, K], px: first the three of the rig's
     jitter in the last frame, if the noise has one, then U; K = 9 or 6. The next step has them as
     ``StackedErrors.before_step``."""
     path_sensitivity: FloatArray
@@ -167,15 +167,15 @@ class DisparityFilter:
             ids=np.zeros(0, np.int64),
             states=DisparityPrior.none(),
             measured_px=np.zeros(0),
-            common=np.zeros((0, 2, COMMON)),
-            path_sensitivity=np.zeros((6, COMMON)),
+            common=np.zeros((0, 2, NUM_LATENT)),
+            path_sensitivity=np.zeros((6, NUM_LATENT)),
             path_cross_cov=np.zeros((6, 6)),
         )
 
     @property
     def common_without_jitter(self) -> FloatArray:
         """U, the columns of ``common`` behind those of the jitter, [M, 2, 6], px."""
-        return self.common[:, :, -COMMON:]
+        return self.common[:, :, -NUM_LATENT:]
 
     def of_tracks(self, tracks: Tracks) -> DisparityFilter:
         """Return the states of those of N tracks that the filter knows, listed in
@@ -221,7 +221,7 @@ class CommonErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class _JointPosterior:
-    """The joint posterior of motion, rig's jitter and common-mode errors, z = (ξ, η, c)."""
+    """The joint posterior of motion, rig's jitter and latent errors, z = (ξ, η, c)."""
 
     errors: StackedErrors
     """Where z has them."""
@@ -238,7 +238,7 @@ class _JointPosterior:
     def of(
         solution: ReprojectionSolution, prior: DisparityFilter, *, knows_motion: bool = False
     ) -> _JointPosterior:
-        """Take one Gauss–Newton step over (ξ, η, c) from a solve that ignored common-mode errors.
+        """Take one Gauss–Newton step over (ξ, η, c) from a solve that ignored latent errors.
 
         The robust weights are those of the solve. For c = 0, the covariance of the solve is kept,
         robust loss included.
@@ -252,8 +252,8 @@ class _JointPosterior:
         # A common scale error moves each disparity in proportion to it. Evaluate its derivative at
         # the refined disparities: with other linearisation points in each step, the scale would
         # seem observable, as in a filter with inconsistent linearisation points.
-        point = solution.points.point[rows, 2]
-        refined = solution.refined[rows, 2]
+        point = solution.features.points.point[rows, 2]
+        refined = solution.features.refined[rows, 2]
         is_measurable = point > MIN_DISPARITY_PX
         growth = np.where(is_measurable, refined / np.maximum(point, MIN_DISPARITY_PX), 1.0)
         # Of the filter's common errors only c: η° is among the unknowns of the solve. The row of d
@@ -262,15 +262,15 @@ class _JointPosterior:
         common[:, 0] *= growth[:, None]
         # M = H U of each feature, summed to the blocks c × (ξ, η), c × c and the gradient of c.
         linearized = _linearized(solution)
-        equations = CommonModeEquations(
-            cross=np.empty((linearized.jacobian.shape[2], COMMON)),
-            hessian=np.empty((COMMON, COMMON)),
-            gradient=np.empty(COMMON),
+        equations = LatentEquations(
+            cross=np.empty((linearized.jacobian.shape[2], NUM_LATENT)),
+            hessian=np.empty((NUM_LATENT, NUM_LATENT)),
+            gradient=np.empty(NUM_LATENT),
         )
-        common_mode_equations(
+        latent_equations(
             rows,
             linearized,
-            solution.irls_weight,
+            solution.features.irls_weight,
             common=common,
             equations=equations,
         )
@@ -316,7 +316,7 @@ class _JointPosterior:
         """Return how z moves the predictions of all features, its mean and its covariance."""
         # M = H U of the tracks in the filter: d moves the whole prediction, δ its u_r alone.
         rows = prior.states.rows
-        common_jacobian = np.zeros((len(self.linearized.jacobian), 4, COMMON))
+        common_jacobian = np.zeros((len(self.linearized.jacobian), 4, NUM_LATENT))
         common_jacobian[rows] = (
             self.linearized.disparity_jacobian[rows, :, None] * self.common[:, None, 0]
         )
@@ -325,7 +325,7 @@ class _JointPosterior:
         return CommonErrors(jacobian, self.mean, self.root @ self.root.T)
 
 
-def update_with_common_mode(
+def update_with_latent_errors(
     prior: DisparityFilter,
     tracks: Tracks,
     noise: StereoNoise,
@@ -334,7 +334,7 @@ def update_with_common_mode(
     camera: StereoCamera,
     inliers: BoolArray,
 ) -> tuple[ReprojectionSolution, DisparityFilter]:
-    """Correct a solve for the common-mode errors, and update the filter.
+    """Correct a solve for the latent errors, and update the filter.
 
     Args:
         prior: the filter's states of these tracks (``of_tracks``).
@@ -453,9 +453,9 @@ def _update(
     states.cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
     # The errors that the tracks have in common after the step; the rest is added to ``states.cov``.
     if posterior is None:
-        common_mode = _NextCommonMode.none(len(chosen))
+        latent = _NextLatentErrors.none(len(chosen))
     else:
-        common_mode = _split_errors(prior, solution, posterior, states)
+        latent = _split_errors(prior, solution, posterior, states)
     # Move the disparities to the current frame. Points that the motion has taken behind the camera
     # have none any more.
     depth_ratio = _depth_ratio(
@@ -463,8 +463,8 @@ def _update(
     )
     ahead = depth_ratio > NEAREST
     kept = chosen[ahead]
-    common = common_mode.sensitivity[ahead]
-    jitter = common_mode.jitter
+    common = latent.sensitivity[ahead]
+    jitter = latent.jitter
     if jitter is not None:
         jitter = jitter._replace(sensitivity=common[:, :, :JITTER_DIM])
     curr_px = tracks.curr_px[kept]
@@ -479,9 +479,9 @@ def _update(
         ),
         measured_px=curr_px[:, 0] - curr_px[:, 2],
         common=common,
-        path_sensitivity=common_mode.path_sensitivity,
-        path_cross_cov=common_mode.path_cross_cov,
-        correlation=common_mode.correlation,
+        path_sensitivity=latent.path_sensitivity,
+        path_cross_cov=latent.path_cross_cov,
+        correlation=latent.correlation,
     )
 
 
@@ -495,7 +495,7 @@ def _sorted_inliers(tracks: Tracks, solution: ReprojectionSolution, inliers: Boo
         inliers: which of the tracks are inliers, [N].
     """
     order = np.argsort(tracks.ids)
-    return order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
+    return order[(inliers & (solution.features.information[:, 0, 0] > 0.0))[order]]
 
 
 def _updated_states(
@@ -519,7 +519,7 @@ def _updated_states(
     mean = np.zeros(errors.size) if posterior is None else posterior.mean
     # How c, and η° if there is a jitter, have moved (d, δ) before the step. Tracks new to the
     # filter do not move with c.
-    common = np.zeros((len(linearized.jacobian), 2, COMMON))
+    common = np.zeros((len(linearized.jacobian), 2, NUM_LATENT))
     if posterior is not None:
         common[prior.states.rows] = posterior.common
     if solution.jitter is not None:
@@ -533,10 +533,10 @@ def _updated_states(
     update_states(
         chosen,
         PriorStates(
-            point=solution.points.point,
-            error=solution.points.error,
-            cov=solution.points.cov,
-            cross_cov=solution.cross_cov,
+            point=solution.features.points.point,
+            error=solution.features.points.error,
+            cov=solution.features.points.cov,
+            cross_cov=solution.features.cross_cov,
             common=common,
         ),
         linearized,
@@ -546,14 +546,14 @@ def _updated_states(
     return states
 
 
-class _NextCommonMode(NamedTuple):
-    """The common-mode errors after a step, by which its tracks, its motion and the path depend on
+class _NextLatentErrors(NamedTuple):
+    """The latent errors after a step, by which its tracks, its motion and the path depend on
     each other."""
 
     sensitivity: FloatArray
     """``DisparityFilter.common``, of all tracks that were updated, [M, 2, K], px."""
     path_sensitivity: FloatArray
-    """Sensitivity of the path to the common-mode errors, [6, K], as in ``DisparityFilter``."""
+    """Sensitivity of the path to the latent errors, [6, K], as in ``DisparityFilter``."""
     path_cross_cov: FloatArray
     """Cross-covariance of the path with the step, [6, 6], as in ``DisparityFilter``."""
     correlation: StepCorrelation
@@ -563,11 +563,11 @@ class _NextCommonMode(NamedTuple):
     noise has none."""
 
     @staticmethod
-    def none(num_tracks: int) -> _NextCommonMode:
-        """Return the common mode of tracks whose errors are independent."""
-        return _NextCommonMode(
-            sensitivity=np.zeros((num_tracks, 2, COMMON)),
-            path_sensitivity=np.zeros((6, COMMON)),
+    def none(num_tracks: int) -> _NextLatentErrors:
+        """Return the latent errors of tracks whose errors are independent."""
+        return _NextLatentErrors(
+            sensitivity=np.zeros((num_tracks, 2, NUM_LATENT)),
+            path_sensitivity=np.zeros((6, NUM_LATENT)),
             path_cross_cov=np.zeros((6, 6)),
             correlation=StepCorrelation.none(),
             jitter=None,
@@ -579,8 +579,8 @@ def _split_errors(
     solution: ReprojectionSolution,
     posterior: _JointPosterior,
     states: PosteriorStates,
-) -> _NextCommonMode:
-    """Split the errors z of a step into the next common mode and the rest.
+) -> _NextLatentErrors:
+    """Split the errors z of a step into the next latent ones and the rest.
 
     z = mean + root w, with whitened errors w ~ N(0, I); a direction is one of the space of w.
 
@@ -615,7 +615,7 @@ def _split_errors(
         is_first=not prior.path_sensitivity.any(),
     )
     path_before = se3.adjoint(solution.T_curr_prev) @ _path_sensitivity(prior, len(before_step))
-    return _NextCommonMode(
+    return _NextLatentErrors(
         sensitivity=sensitivity,
         path_sensitivity=path_before @ correlation.transition + correlation.with_after,
         path_cross_cov=path_before @ correlation.with_before.T,
@@ -692,9 +692,9 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
 def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
     return LinearizedFeatures(
         jacobian=solution.full_jacobian,
-        disparity_jacobian=solution.disparity_jacobian,
-        information=solution.information,
-        residuals=solution.residuals,
+        disparity_jacobian=solution.features.disparity_jacobian,
+        information=solution.features.information,
+        residuals=solution.features.residuals,
     )
 
 
@@ -722,7 +722,7 @@ def _strongest_directions(
     _, directions = np.linalg.eigh(sum_products(white, white) - _CHOSEN * (chosen @ chosen.T))
     # Transform to all directions at once, in the order (chosen, rest, strongest).
     first = chosen.shape[1]
-    last = len(root) - COMMON
+    last = len(root) - NUM_LATENT
     directions[:, :first] = chosen
     moved = _transformed(sensitivity, root @ directions)
     add_squares(moved, first, last, cov=cov)

@@ -15,14 +15,14 @@ from probevo.compiled import (
     solve_positive_definite,
 )
 
-COMMON = 6
-"""Number of common-mode errors c."""
+NUM_LATENT = 6
+"""Number of latent errors c."""
 ROUNDING = 1e-9
 """What a residual leaves of a variance at least, relative to it."""
 
 
 class LinearizedFeatures(NamedTuple):
-    """N features linearised at a motion, see ``ReprojectionSolution``."""
+    """N features linearised at a motion, see ``SolvedFeatures``."""
 
     jacobian: FloatArray
     """∂h/∂(ξ, η), the motion and, if there is one, the rig's jitter, [N, 4, m], m = 6 or 12."""
@@ -71,7 +71,7 @@ def update_states(
 ) -> None:
     """Kalman update of x = (d, δ) of M chosen ones among N tracks with the residuals of a step.
 
-    With z = (ξ, η, c) the errors of the motion and of the rig's jitter and the common-mode errors,
+    With z = (ξ, η, c) the errors of the motion and of the rig's jitter and the latent errors,
     V = ∂x/∂z before the step, D = (J, H U), and K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x
     becomes x + V z + K (e − D z), its own covariance P − K H P, and its sensitivity to z V − K D.
     The points and residuals are those at the optimum of η already. Covariance and sensitivity are
@@ -93,9 +93,9 @@ def update_states(
     # and of c. D has the columns of (ξ, η), J, and those of c, H U.
     m = features.jacobian.shape[2]
     num_moving = common.shape[2]
-    first_moving = m + COMMON - num_moving
-    num_prev_jitter = num_moving - COMMON
-    D = np.empty((4, m + COMMON))
+    first_moving = m + NUM_LATENT - num_moving
+    num_prev_jitter = num_moving - NUM_LATENT
+    D = np.empty((4, m + NUM_LATENT))
     for n in range(len(chosen)):
         i = chosen[n]
         # x + V z.
@@ -110,7 +110,7 @@ def update_states(
             for k in range(m):
                 D[r, k] = features.jacobian[i, r, k]
                 e -= D[r, k] * mean[k]
-            for k in range(COMMON):
+            for k in range(NUM_LATENT):
                 common_column = num_prev_jitter + k
                 D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, common_column]
                 if r == 2:
@@ -129,7 +129,7 @@ def update_states(
                 cov[n, s, t] = prior.cov[i, 2 + s, 2 + t] * (1.0 + ROUNDING if s == t else 1.0)
                 for r in range(4):
                     cov[n, s, t] -= gain[s, r] * prior.cross_cov[i, r, t]
-            for k in range(m + COMMON):
+            for k in range(m + NUM_LATENT):
                 sensitivity[n, s, k] = 0.0
                 if k >= first_moving:
                     sensitivity[n, s, k] = common[i, s, k - first_moving]
@@ -141,14 +141,14 @@ def update_states(
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
-        for k in range(m + COMMON):
+        for k in range(m + NUM_LATENT):
             sensitivity[n, 0, k] *= growth
             if k < 6:
                 sensitivity[n, 0, k] += features.jacobian[i, 0, k] - features.jacobian[i, 2, k]
 
 
-class CommonModeEquations(NamedTuple):
-    """What the common-mode errors add to the normal equations, with M = H U."""
+class LatentEquations(NamedTuple):
+    """What the latent errors add to the normal equations, with M = H U."""
 
     cross: FloatArray
     """Σ w Jᵀ Σ⁻¹ M, [m, 6]."""
@@ -159,14 +159,14 @@ class CommonModeEquations(NamedTuple):
 
 
 @compiled
-def common_mode_equations(
+def latent_equations(
     rows: IntArray,
     features: LinearizedFeatures,
     weight: FloatArray,
     common: FloatArray,
-    equations: CommonModeEquations,
+    equations: LatentEquations,
 ) -> None:
-    """Fill in the normal equations of the common-mode errors.
+    """Fill in the normal equations of the latent errors.
 
     Args:
         rows: the M tracks, among N, that these errors move.
@@ -181,19 +181,19 @@ def common_mode_equations(
     cross[:] = 0.0
     hessian[:] = 0.0
     gradient[:] = 0.0
-    M = np.empty((4, COMMON))
-    white = np.empty((4, COMMON))
+    M = np.empty((4, NUM_LATENT))
+    white = np.empty((4, NUM_LATENT))
     for n in range(len(rows)):
         i = rows[n]
         # M = H U: d moves the whole prediction, δ its u_r alone.
         for r in range(4):
-            for k in range(COMMON):
+            for k in range(NUM_LATENT):
                 M[r, k] = features.disparity_jacobian[i, r] * common[n, 0, k] - (
                     common[n, 1, k] if r == 2 else 0.0
                 )
         # w Σ⁻¹ M.
         for r in range(4):
-            for k in range(COMMON):
+            for k in range(NUM_LATENT):
                 total = 0.0
                 for q in range(4):
                     total += features.information[i, r, q] * M[q, k]
@@ -201,7 +201,7 @@ def common_mode_equations(
         # Column k of w Σ⁻¹ M, times e, J and M.
         J = features.jacobian[i]
         e = features.residuals[i]
-        for k in range(COMMON):
+        for k in range(NUM_LATENT):
             w0 = white[0, k]
             w1 = white[1, k]
             w2 = white[2, k]
@@ -209,7 +209,7 @@ def common_mode_equations(
             gradient[k] += w0 * e[0] + w1 * e[1] + w2 * e[2] + w3 * e[3]
             for j in range(cross.shape[0]):
                 cross[j, k] += w0 * J[0, j] + w1 * J[1, j] + w2 * J[2, j] + w3 * J[3, j]
-            for j in range(COMMON):
+            for j in range(NUM_LATENT):
                 hessian[j, k] += w0 * M[0, j] + w1 * M[1, j] + w2 * M[2, j] + w3 * M[3, j]
 
 
@@ -222,10 +222,10 @@ def _set_joint(
     for i in range(m):
         for j in range(m):
             joint[i, j] = own[i, j]
-        for k in range(COMMON):
+        for k in range(NUM_LATENT):
             joint[i, m + k] = joint[m + k, i] = cross[i, k]
-    for k in range(COMMON):
-        for j in range(COMMON):
+    for k in range(NUM_LATENT):
+        for j in range(NUM_LATENT):
             joint[m + k, m + j] = scale * common[k, j] + (1.0 if j == k else 0.0)
 
 
@@ -233,14 +233,14 @@ def _set_joint(
 def joint_posterior(
     hessian: FloatArray,
     cov: FloatArray,
-    equations: CommonModeEquations,
+    equations: LatentEquations,
     num_known: int,
     mean: FloatArray,
     root: FloatArray,
 ) -> bool:
     """Compute the posterior of z = (ξ, η, c) one Gauss–Newton step from the optimum of (ξ, η).
 
-    Only the common mode has a gradient there. The step follows from the Hessian with the robust
+    Only the latent errors have a gradient there. The step follows from the Hessian with the robust
     weights, in which (ξ, η) have the block H = A Aᵀ. The covariance must not: that of (ξ, η) alone
     is C, with C⁻¹ = B Bᵀ, the information of an M-estimate. The blocks of c are changed alike. With
     F = B A⁻¹ and f the geometric mean of its diagonal, the cross term X becomes f F X, and the
@@ -250,7 +250,7 @@ def joint_posterior(
     Args:
         hessian: H of (ξ, η), [m, m].
         cov: C of (ξ, η), [m, m].
-        equations: of the common mode, without its prior N(0, I).
+        equations: of the latent errors, without their prior N(0, I).
         num_known: how many of z, the first ones, are known.
         mean: filled in, [m + 6]; that of the known ones is left alone.
         root: filled in, a root of the covariance, [m + 6, m + 6]; likewise.
@@ -259,15 +259,15 @@ def joint_posterior(
         False where a matrix is not positive definite to working precision.
     """
     m = len(hessian)
-    free = m + COMMON - num_known
-    joint = np.empty((m + COMMON, m + COMMON))
+    free = m + NUM_LATENT - num_known
+    joint = np.empty((m + NUM_LATENT, m + NUM_LATENT))
     # One Gauss–Newton step.
     _set_joint(hessian, equations.cross, equations.hessian, scale=1.0, joint=joint)
     # At the optimum of (ξ, η) these have no gradient; c is at zero, where its prior has none
     # either.
     gradient = np.zeros(free)
-    for k in range(COMMON):
-        gradient[free - COMMON + k] = equations.gradient[k]
+    for k in range(NUM_LATENT):
+        gradient[free - NUM_LATENT + k] = equations.gradient[k]
     lower = np.zeros((free, free))
     step = np.empty(free)
     if not solve_positive_definite(joint[num_known:, num_known:], gradient, lower, solution=step):
@@ -287,9 +287,9 @@ def joint_posterior(
     for i in range(m):
         scale *= (B[i, i] / A[i, i]) ** (1.0 / m)
     # f B A⁻¹ X, column by column: forward substitution with A, then times B.
-    cross = np.empty((m, COMMON))
+    cross = np.empty((m, NUM_LATENT))
     column = np.empty(m)
-    for k in range(COMMON):
+    for k in range(NUM_LATENT):
         for i in range(m):
             total = equations.cross[i, k]
             for j in range(i):

@@ -54,11 +54,12 @@ def translation_signal(
     """
     # Σ a Jᵀ Σ⁻¹ J of each feature, [N, 6, 6], for a disparity of one pixel; without any, the
     # columns of its translation are zero.
-    refined = solution.refined[:, 2]
+    features = solution.features
+    refined = features.refined[:, 2]
     is_finite = np.abs(refined) > INFINITY_DISPARITY_PX
-    jacobian = solution.jacobian.copy()
+    jacobian = features.jacobian.copy()
     jacobian[:, :, :3] /= np.where(is_finite, refined, np.inf)[:, None, None]
-    weighted = solution.curvature[:, None, None] * (solution.information @ jacobian)
+    weighted = features.curvature[:, None, None] * (features.information @ jacobian)
     information = jacobian.mT @ weighted
     # For the disparities as they are; the rotation is eliminated, A_tt − A_tr A_rr⁻¹ A_rt.
     translation_information = np.einsum("n,nij->ij", disparity**2, information[:, :3, :3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.estimation.reprojection import SolvedFeatures
 from probevo.measurements.stereo_numba import BEHIND
 
 OUTLIER_BELOW = 0.1
@@ -24,16 +24,16 @@ BISECTIONS = 50
 """Number of bisections of [0, 1] that reach 10⁻¹⁵."""
 
 
-def feature_weights(solution: ReprojectionSolution, dof: FloatArray, loss: str) -> FloatArray:
+def feature_weights(features: SolvedFeatures, dof: FloatArray, loss: str) -> FloatArray:
     """Return the weight of each feature under a loss, [N], from 0 (outlier) to 1.
 
     Args:
-        solution: the solve.
+        features: the N features of a solve.
         dof: degrees of freedom ν of each feature's noise, [N].
         loss: its name in the settings. The weights of ``noise`` are converted to REFERENCE_DOF;
             those of any other loss are its robust weights.
     """
-    return comparable_weights(solution, dof) if loss == "noise" else solution.weight
+    return comparable_weights(features, dof) if loss == "noise" else features.weight
 
 
 def num_inliers(weights: FloatArray) -> int:
@@ -54,7 +54,7 @@ def agree_with_noise(squared: FloatArray, dof: FloatArray, factor: float = 1.0) 
     return agree
 
 
-def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:
+def comparable_weights(features: SolvedFeatures, dof: FloatArray) -> FloatArray:
     """Return weights that mean the same whatever the tails of the noise, [N], 0 to 1.
 
     The relative robust weight y = ν/(ν + s) of a residual depends on ν: at ν = 1.6, half of all
@@ -63,12 +63,12 @@ def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> Float
     tail of the F distribution for d = 4. Gaussian noise, such as that of ``fixed``, has no robust
     weight, so all its features have weight 1.
     """
-    robust = np.isfinite(dof) & (dof != REFERENCE_DOF) & (solution.weight > 0.0)
+    robust = np.isfinite(dof) & (dof != REFERENCE_DOF) & (features.weight > 0.0)
     nu = np.where(robust, dof, REFERENCE_DOF)
     # From s to its tail probability under ν, and from that to y under the reference.
-    tail = _tail_probability(nu / (nu + solution.mahalanobis_sq), nu)
+    tail = _tail_probability(nu / (nu + features.mahalanobis_sq), nu)
     comparable: FloatArray = np.where(
-        robust, np.interp(tail, _REFERENCE_TAILS, _REFERENCE_WEIGHTS), solution.weight
+        robust, np.interp(tail, _REFERENCE_TAILS, _REFERENCE_WEIGHTS), features.weight
     )
     return comparable
 

@@ -39,9 +39,10 @@ class JointEquations(NamedTuple):
             solution: of the N tracks.
         """
         # w Σ⁻¹ (D, e): both at once.
-        D_and_residual = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
+        features = solution.features
+        D_and_residual = np.concatenate([D, features.residuals[:, :, None]], axis=2)
         weighted = np.empty_like(D_and_residual)
-        weigh_columns(solution.information, solution.irls_weight, D_and_residual, weighted)
+        weigh_columns(features.information, features.irls_weight, D_and_residual, weighted)
         motion_products = sum_products(solution.full_jacobian, weighted)
         other_products = sum_products(D, weighted)
         gradient = motion_products[:, -1]

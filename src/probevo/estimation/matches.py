@@ -133,7 +133,7 @@ def estimate_motion(
         cov=solution.cov,
         status=Status.OK if solution.converged else Status.NOT_CONVERGED,
         num_tracks=len(tracks),
-        num_inliers=num_inliers(comparable_weights(solution, match_noise.dof[used])),
+        num_inliers=num_inliers(comparable_weights(solution.features, match_noise.dof[used])),
         iterations=solution.iterations,
         num_used=int(used.sum()),
         noise_factor=factor,
@@ -182,7 +182,7 @@ def _squared_residuals(
     """Return how far N matches are from a solve, from its motion and its jitter of the rig, in
     their noise: eᵀ Σ⁻¹ e, [N]."""
     observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
-    return evaluated_at(solution, observations).mahalanobis_sq
+    return evaluated_at(solution, observations).features.mahalanobis_sq
 
 
 def _as_match_noise(noise: object, count: int, camera: StereoCamera) -> tuple[StereoNoise, bool]:

@@ -55,18 +55,21 @@ class SolvedJitter:
 
 
 @dataclass(frozen=True)
-class ReprojectionSolution:
-    """A motion, and the N features linearised at it."""
+class SolvedFeatures:
+    """N features linearised at a motion."""
 
-    T_curr_prev: FloatArray
-    """[4, 4]."""
-    cov: FloatArray
-    """Covariance of the left perturbation ξ = [ρ; φ] of it, [6, 6]; NaN where the features do not
-    fix all of ξ."""
+    residuals: FloatArray
+    """y' − f(T g(y)), bias removed, to first order around the refined points, [N, 4], px."""
+    jacobian: FloatArray
+    """∂f(T g(y))/∂ξ, [N, 4, 6], px/m and px/rad."""
+    disparity_jacobian: FloatArray
+    """∂f(T g(y))/∂d, d the disparity in the previous frame, [N, 4]."""
+    information: FloatArray
+    """Σ⁻¹ of each residual, [N, 4, 4], px⁻²; Σ is the scale of its noise."""
     mahalanobis_sq: FloatArray
-    """eᵀ Σ⁻¹ e of each feature, [N]; Σ is the scale of its residual."""
+    """eᵀ Σ⁻¹ e, [N]."""
     weight: FloatArray
-    """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
+    """Robust weight against that of a perfect feature, [N], in [0, 1]."""
     irls_weight: FloatArray
     """Robust weight w itself, [N]; 0 for a feature that does not contribute."""
     curvature: FloatArray
@@ -74,25 +77,29 @@ class ReprojectionSolution:
     points: PointPrior
     """The N points before the solve, corrected for the jitter of the previous frame."""
     refined: FloatArray
-    """Most likely (u, v, disparity) of each feature in the previous frame given both observations,
-    [N, 3], px."""
-    residuals: FloatArray
-    """y' − f(T g(y)), bias removed, to first order around the refined points, [N, 4], px."""
-    jacobian: FloatArray
-    """∂f(T g(y))/∂ξ, [N, 4, 6], px/m and px/rad."""
-    disparity_jacobian: FloatArray
-    """∂f(T g(y))/∂d, d the disparity in the previous frame, [N, 4]."""
+    """Most likely (u, v, disparity) in the previous frame given both observations, [N, 3], px."""
+    cross_cov: FloatArray
+    """Cross-covariance (scale) of the residual with the disparity d and the time-correlated error
+    δ, [N, 4, 2], px²."""
+
+
+@dataclass(frozen=True)
+class ReprojectionSolution:
+    """A motion with its covariance, and the features linearised at it."""
+
+    T_curr_prev: FloatArray
+    """[4, 4]."""
+    cov: FloatArray
+    """Covariance of the left perturbation ξ = [ρ; φ] of it, [6, 6]; NaN where the features do not
+    fix all of ξ."""
     hessian: FloatArray
     """Σ w Jᵀ Σ⁻¹ J plus the information of other measurements, w the IRLS weight, [6, 6]. Its
     inverse is not the covariance."""
     full_information: FloatArray
     """Fisher information on ξ, [6, 6], or on (ξ, η) with the jitter, [12, 12], without the bias
     that noise of the disparities adds to it. ``cov`` is the block of ξ of its inverse."""
-    information: FloatArray
-    """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
-    cross_cov: FloatArray
-    """Cross-covariance (scale) of the residual with the disparity d and the time-correlated error
-    δ, [N, 4, 2], px²."""
+    features: SolvedFeatures
+    """The N features."""
     iterations: int
     converged: bool
     jitter: SolvedJitter | None = None
@@ -103,7 +110,7 @@ class ReprojectionSolution:
     def is_determined(self) -> bool:
         """Whether the features fix all of the motion; a loss that descends to zero may have
         rejected all of them."""
-        return bool(np.isfinite(self.cov).all() and self.irls_weight.any())
+        return bool(np.isfinite(self.cov).all() and self.features.irls_weight.any())
 
     @property
     def exceeds_noise(self) -> bool:
@@ -125,8 +132,8 @@ class ReprojectionSolution:
     def full_jacobian(self) -> FloatArray:
         """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 12]."""
         if self.jitter is None:
-            return self.jacobian
-        return np.concatenate([self.jacobian, self.jitter.columns], axis=2)
+            return self.features.jacobian
+        return np.concatenate([self.features.jacobian, self.jitter.columns], axis=2)
 
     @property
     def full_hessian(self) -> FloatArray:
@@ -182,10 +189,10 @@ def solve_reprojection(
     # Evaluate the features at the optimum, with the covariances that the solve ended with.
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
-    features = propagated.at(optimum.values)
+    evaluated = propagated.at(optimum.values)
     # Over (ξ, η): the motion has the first six rows and columns, a jitter those behind.
-    hessian = features.hessian
-    information = features.information
+    hessian = evaluated.hessian
+    information = evaluated.information
     # The features' information is that of an M-estimate; other measurements add their own.
     if others:
         other_information = levenberg_marquardt.information(others, optimum.values, [curr])
@@ -202,22 +209,25 @@ def solve_reprojection(
             hessian=hessian,
             cov=cov,
         )
+    noise = propagated.propagated_noise
     return ReprojectionSolution(
         T_curr_prev=T_curr_prev,
         cov=np.ascontiguousarray(cov[:6, :6]),
-        mahalanobis_sq=features.mahalanobis_sq,
-        weight=features.weights.relative,
-        irls_weight=features.weights.weight,
-        curvature=features.weights.curvature,
-        points=features.points,
-        refined=propagated.propagated_noise.refined,
-        residuals=features.jacobians.residual,
-        jacobian=features.jacobians.motion,
-        disparity_jacobian=features.jacobians.disparity,
         hessian=np.ascontiguousarray(hessian[:6, :6]),
         full_information=information,
-        information=propagated.propagated_noise.information,
-        cross_cov=propagated.propagated_noise.cross_cov,
+        features=SolvedFeatures(
+            residuals=evaluated.jacobians.residual,
+            jacobian=evaluated.jacobians.motion,
+            disparity_jacobian=evaluated.jacobians.disparity,
+            information=noise.information,
+            mahalanobis_sq=evaluated.mahalanobis_sq,
+            weight=evaluated.weights.relative,
+            irls_weight=evaluated.weights.weight,
+            curvature=evaluated.weights.curvature,
+            points=evaluated.points,
+            refined=noise.refined,
+            cross_cov=noise.cross_cov,
+        ),
         iterations=optimum.iterations,
         converged=optimum.converged,
         jitter=jitter,

@@ -10,8 +10,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import (
-    COMMON_MODES,
     DISPARITY_MODES,
+    DISPLACEMENT_MODES,
     NUM_COEFFICIENTS,
     modes_at,
 )
@@ -161,7 +161,8 @@ def _updated_rig(
         )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.
-    curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
+    features = solution.features
+    curvature = float(features.curvature.sum() / features.irls_weight.sum())
     with_focal = curvature * information[_FOCAL]
     # The field, by which the tracks were corrected, takes up most of a wrong focal length. So take
     # the gradient at a field of zero.
@@ -266,11 +267,12 @@ def calibration_sensitivity(
         twists: the velocities at the two frames.
         readout_s: the readout time by which the tracks were corrected.
     """
+    features = solution.features
     sensitivity = np.empty((len(tracks), 4, 6 + NUM_COEFFICIENTS))
     intrinsics = Intrinsics.of(camera)
     disparity_effect = np.empty((len(tracks), 4, 4))
     disparity_sensitivities(
-        solution.disparity_jacobian,
+        features.disparity_jacobian,
         np.array(tracks.prev_px, order="C"),
         np.array(tracks.curr_px, order="C"),
         camera=intrinsics,
@@ -282,28 +284,28 @@ def calibration_sensitivity(
     # the noise of a pixel would be in its modes and in its residual, and bias the field: a field
     # that pulls the pixels together makes all residuals smaller.
     predicted_px = np.empty((len(tracks), 2))
-    predict_pixels(solution.T_curr_prev, intrinsics, solution.refined, predicted_px)
+    predict_pixels(solution.T_curr_prev, intrinsics, features.refined, predicted_px)
     field_sensitivities(
         solution.T_curr_prev,
         intrinsics,
-        solution.refined,
-        solution.disparity_jacobian,
+        features.refined,
+        features.disparity_jacobian,
         FieldModes(
-            prev=modes_at(solution.refined, camera),
+            prev=modes_at(features.refined, camera),
             curr=modes_at(predicted_px, camera),
-            common_modes=COMMON_MODES,
+            displacement_modes=DISPLACEMENT_MODES,
             disparity_modes=DISPARITY_MODES,
         ),
         sensitivity[:, :, _FIELD],
     )
     focal_sensitivity(
-        solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _EPSILON]
+        solution.T_curr_prev, intrinsics, features.refined, sensitivity[:, :, _EPSILON]
     )
     readout_sensitivity(
         solution.T_curr_prev,
         twists,
         camera,
-        solution.refined,
+        features.refined,
         readout_s=readout_s,
         sensitivity=sensitivity[:, :, _READOUT],
     )

@@ -152,7 +152,7 @@ class _StepVelocity:
                 readout_s,
                 self.duration_s,
                 camera,
-                refined=solution.refined,
+                refined=solution.features.refined,
             ),
             prior_mean=self._mean(solution) - self.last_twist,
             prior_cov=self.change_cov,

@@ -19,7 +19,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST, Intrinsics
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.disparity_filter_numba import COMMON
+from probevo.estimation.disparity_filter_numba import NUM_LATENT
 from probevo.measurements.jitter_numba import JITTER_DIM, JITTER_PAIR_DIM
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
@@ -48,12 +48,12 @@ class FactorLinearization(NamedTuple):
     point: FloatArray
     """Jacobian by s, [7, 3]."""
     common: FloatArray
-    """Jacobian by the common-mode errors, [7, K], px."""
+    """Jacobian by the latent errors, [7, K], px."""
 
 
 @dataclass(frozen=True)
 class TrackFactors:
-    """N tracks, each as a factor between two poses, a point and the common-mode errors.
+    """N tracks, each as a factor between two poses, a point and the latent errors.
 
     The loss of a factor is the Student-t's, ½ (ν + 4) log(1 + rᵀ cov⁻¹ r/ν). Minimised over the
     point, it is the cost of the same track in ``solve_reprojection``.
@@ -68,7 +68,7 @@ class TrackFactors:
     dof: FloatArray
     """ν of each track, [N]; np.inf is Gaussian."""
     common: FloatArray
-    """∂(residual)/∂c of the common-mode errors c ~ N(0, I), [N, 7, K], px: six of the disparity
+    """∂(residual)/∂c of the latent errors c ~ N(0, I), [N, 7, K], px: six of the disparity
     filter (zero for a track without history) and, if the noise has a jitter of the rig, three of
     the current frame and three of the previous one; K = 6 or 12."""
     camera: Intrinsics
@@ -113,12 +113,14 @@ class TrackFactors:
         # Measured are s − V c and f(T s) − V_δ c + B η', with V the effect of c, or of η°, on (s,
         # δ). The derivatives take that out of the residual, which is predicted minus measured.
         jitter = observations.jitter
-        common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + JITTER_PAIR_DIM))
-        common[history.states.rows, _D, :COMMON] = -history.common_without_jitter[:, 0]
-        common[history.states.rows, _U_R, :COMMON] = -history.common_without_jitter[:, 1]
+        common = np.zeros(
+            (len(tracks), 7, NUM_LATENT if jitter is None else NUM_LATENT + JITTER_PAIR_DIM)
+        )
+        common[history.states.rows, _D, :NUM_LATENT] = -history.common_without_jitter[:, 0]
+        common[history.states.rows, _U_R, :NUM_LATENT] = -history.common_without_jitter[:, 1]
         if jitter is not None:
-            curr = slice(COMMON, COMMON + JITTER_DIM)
-            prev = slice(COMMON + JITTER_DIM, COMMON + JITTER_PAIR_DIM)
+            curr = slice(NUM_LATENT, NUM_LATENT + JITTER_DIM)
+            prev = slice(NUM_LATENT + JITTER_DIM, NUM_LATENT + JITTER_PAIR_DIM)
             common[:, _U_R:, curr] = jitter.effects.basis
             common[:, _POINT, prev] = -jitter.effects.sensitivity[:, :3]
             common[:, _U_R, prev] = -jitter.effects.sensitivity[:, 3]
@@ -144,7 +146,7 @@ class TrackFactors:
             track: which, 0 to N − 1.
             T_curr_prev: the motion, [4, 4].
             point: s = (u, v, d), [3], px; the disparity may be zero or negative.
-            common: the common-mode errors c, [K].
+            common: the latent errors c, [K].
         """
         fu, fv, cu, cv, fb = self.camera
         C = T_curr_prev[:3, :3]

@@ -21,7 +21,7 @@ from probevo.estimation.disparity_filter import (
     CommonErrors,
     DisparityFilter,
     update_at_known_motion,
-    update_with_common_mode,
+    update_with_latent_errors,
 )
 from probevo.estimation.feature_weights import INLIER_FROM, feature_weights, num_inliers
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
@@ -164,13 +164,13 @@ class TwoFrameEstimator:
         prior = disparities.of_tracks(tracks)
         observations = self._observations(tracks, noise, prior.states, curr=curr)
         solution = self._motion_of(tracks, observations, guess=guess, others=others)
-        weights = feature_weights(solution, noise.dof, self.config.loss)
-        # The solve treated the errors of different tracks as independent. The filter's common-mode
+        weights = feature_weights(solution.features, noise.dof, self.config.loss)
+        # The solve treated the errors of different tracks as independent. The filter's latent
         # errors correlate them, which is accounted for only now: an outlier would corrupt them, and
         # the inliers are not known before.
         after = DisparityFilter.none()
         if self._filters_disparities:
-            solution, after = update_with_common_mode(
+            solution, after = update_with_latent_errors(
                 prior,
                 tracks,
                 noise,
@@ -199,7 +199,7 @@ class TwoFrameEstimator:
         # Holding the motion, the solve is over the rig's jitter alone, if there is one.
         observations = self._observations(tracks, noise, prior.states)
         solution = solve_reprojection(observations, guess=T_curr_prev, holds_motion=True)
-        weights = feature_weights(solution, noise.dof, self.config.loss)
+        weights = feature_weights(solution.features, noise.dof, self.config.loss)
         after = DisparityFilter.none()
         common = None
         if self._filters_disparities:

@@ -164,7 +164,9 @@ class _Solve:
         has_moved = solution.exceeds_noise and self.tracks.novelty == 1.0
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
-        return self.noise_factor * scale_of_residuals(solution.mahalanobis_sq, self.noise.dof)
+        return self.noise_factor * scale_of_residuals(
+            solution.features.mahalanobis_sq, self.noise.dof
+        )
 
     def differs_from(self, T_curr_prev: FloatArray) -> bool:
         """Return whether its motion differs significantly from another one, [4, 4], given how much
@@ -172,7 +174,7 @@ class _Solve:
         solution = self.estimate.solution
         if not np.isfinite(solution.cov).all():
             return True
-        cov = _residual_scale(solution.mahalanobis_sq, self.noise) * solution.cov
+        cov = _residual_scale(solution.features.mahalanobis_sq, self.noise) * solution.cov
         squared = normalized_error_squared(T_curr_prev, solution.T_curr_prev, cov)
         return bool(squared > MOTIONS_DIFFER_FROM)
 
@@ -190,7 +192,7 @@ class _Solve:
         excess_factor = 2.0 * self.enlargement - 1.0
         # The larger noise would also give weight again to the outliers of this solve, as if their
         # scatter were independent. So the variances grow by the gain in weight, too.
-        squared = self.estimate.solution.mahalanobis_sq
+        squared = self.estimate.solution.features.mahalanobis_sq
         dof = np.minimum(self.noise.dof, GAUSSIAN_FROM)
         weight = dof / (dof + squared)
         weight_after = dof / (dof + squared / self.enlargement)
@@ -420,7 +422,7 @@ class VisualEstimator:
             # There are inliers enough to determine the motion, but they understate the noise: the
             # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
             # all tracks, rather too much than too little.
-            enlargement = _residual_scale(solution.mahalanobis_sq, solve.noise)
+            enlargement = _residual_scale(solution.features.mahalanobis_sq, solve.noise)
             if most_agree:
                 enlargement = max(enlargement, fitting.factor)
             other_information = priors.information_of_measurements(solution.T_curr_prev)
@@ -578,7 +580,7 @@ class VisualEstimator:
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
-        squared = evaluated_at(solution, observations).mahalanobis_sq
+        squared = evaluated_at(solution, observations).features.mahalanobis_sq
         factor = _residual_scale(squared, noise)
         agree = agree_with_noise(squared, noise.dof, factor)
         if noise_factor * factor > MAX_SCALE:

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import (
-    COMMON_MODES,
     DISPARITY_MODES,
+    DISPLACEMENT_MODES,
     image_plane,
     modes_at,
     root_mean_square_px,
@@ -145,8 +145,10 @@ def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> N
     u, v = np.meshgrid(
         np.linspace(0.0, width_px, ARROW_COLUMNS), np.linspace(0.0, height_px, ARROW_ROWS)
     )
-    modes = modes_at(_far_points(u.ravel(), v.ravel()), camera)[:, COMMON_MODES]
-    coefficients_u, coefficients_v = rig.image.distortion[: 2 * len(COMMON_MODES)].reshape(2, -1)
+    modes = modes_at(_far_points(u.ravel(), v.ravel()), camera)[:, DISPLACEMENT_MODES]
+    coefficients_u, coefficients_v = rig.image.distortion[: 2 * len(DISPLACEMENT_MODES)].reshape(
+        2, -1
+    )
     moved_u = modes @ coefficients_u
     moved_v = modes @ coefficients_v
     longest_px = max(MIN_SCALE_PX, float(np.hypot(moved_u, moved_v).max()))

@@ -332,7 +332,7 @@ def test_with_time_correlated_errors_a_stretch_is_consistent_with_its_truth() ->
 
 
 def test_errors_of_tracks_with_a_history_have_the_size_of_their_noise() -> None:
-    """Six drives of 40 steps among 25 patches, without truth: motion and common-mode errors of the
+    """Six drives of 40 steps among 25 patches, without truth: motion and latent errors of the
     disparities largely cancel in the residuals, and errors and spread together scatter as the
     noise does, within 4 %. By the motion alone it is 15 % more."""
     information = np.linalg.inv(SLIPPING.scale)

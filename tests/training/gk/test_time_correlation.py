@@ -54,10 +54,10 @@ def profile_of(
         guess=T_CURR_PREV,
         max_iterations=0,
     )
-    scale: FloatArray = np.linalg.inv(solution.information).astype(np.float64)
+    scale: FloatArray = np.linalg.inv(solution.features.information).astype(np.float64)
     residual_noise = StereoNoise(scale, noise.dof, np.zeros((count, 4)))
-    profile = time_correlation_profile(solution, noise, np.arange(count))
-    return profile, residual_noise.log_likelihood(solution.residuals)
+    profile = time_correlation_profile(solution.features, noise, np.arange(count))
+    return profile, residual_noise.log_likelihood(solution.features.residuals)
 
 
 @pytest.mark.parametrize("dof", [4.0, np.inf])

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.disparity_filter import StepCorrelation
-from probevo.estimation.disparity_filter_numba import COMMON
+from probevo.estimation.disparity_filter_numba import NUM_LATENT
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import MOTIONS_DIFFER_FROM
 from probevo.measurements.jitter_numba import JITTER_DIM
@@ -26,8 +26,8 @@ MEDIAN_CHI2 = 0.4549
 SIGMA_ACCURACY = 1e-4
 """Relative accuracy of the estimated σ of the truth, whose own scatter is half a percent with ten
 thousand stretches."""
-MAX_COMMON = COMMON + JITTER_DIM
-"""Largest number K of common-mode errors: of the disparities, and of the rig's jitter."""
+MAX_COMMON = NUM_LATENT + JITTER_DIM
+"""Largest number K of latent errors: of the disparities, and of the rig's jitter."""
 
 
 class StepCorrelations(NamedTuple):

@@ -168,14 +168,14 @@ def feature_errors(
         if step.estimate is not None:
             solution = step.estimate.solution
             # Features behind the camera have no information: their Σ⁻¹ is set to 0.
-            is_in_front = solution.information[:, 0, 0] > 0.0
+            is_in_front = solution.features.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
             common = CommonUnknowns.of(step.estimate, posterior.cov[step.index])
             errors, error_cov, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
             # The profile in closed form holds only for tracks without a known past.
-            profile = time_correlation_profile(solution, step.noise, kept)
+            profile = time_correlation_profile(solution.features, step.noise, kept)
             profile = profile.without_information(step.estimate.has_history[kept])
             step_errors.append(
                 FeatureErrors(

@@ -73,8 +73,8 @@ def errors_of(
     """
     count = len(chosen)
     features = ResidualArrays(
-        information=solution.information[chosen],
-        residuals=solution.residuals[chosen],
+        information=solution.features.information[chosen],
+        residuals=solution.features.residuals[chosen],
         jacobian=common.jacobian[chosen],
         scale=noise.scale[chosen],
     )

@@ -25,7 +25,7 @@ MOTION_DIM = 6
 
 class CommonUnknowns(NamedTuple):
     """The unknowns that are common to all features of a step: the motion, the rig's jitter, and the
-    common-mode errors of the disparities."""
+    latent errors of the disparities."""
 
     jacobian: FloatArray
     """Derivative of the prediction by (ξ, η, c), [N, 4, K]; K is 6 for ξ, and 6 more for each of η
@@ -42,7 +42,7 @@ class CommonUnknowns(NamedTuple):
             return CommonUnknowns(*estimate.common)
         solution = estimate.solution
         if solution.jitter is None:
-            return CommonUnknowns(solution.jacobian, np.zeros(MOTION_DIM), motion_cov)
+            return CommonUnknowns(solution.features.jacobian, np.zeros(MOTION_DIM), motion_cov)
         # η = gain ξ + an independent rest. With G the gain, C the covariance of ξ and V the rest's,
         # the joint covariance is [[C, C Gᵀ], [G C, V + G C Gᵀ]].
         gain, rest = _given_motion(solution.jitter)

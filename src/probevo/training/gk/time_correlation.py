@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
-from probevo.estimation.reprojection import ReprojectionSolution
+from probevo.estimation.reprojection import SolvedFeatures
 from probevo.noise.base import StereoNoise, disparity_variance
 from probevo.noise.student_t_arrays import DIM
 
@@ -73,24 +73,24 @@ class TimeCorrelationProfile(NamedTuple):
 
 
 def time_correlation_profile(
-    solution: ReprojectionSolution, noise: StereoNoise, chosen: IntArray
+    features: SolvedFeatures, noise: StereoNoise, chosen: IntArray
 ) -> TimeCorrelationProfile:
     """Return the profile of m chosen features.
 
     Σ is the scale without the time-correlated part that the noise predicts.
     """
-    information = solution.information[chosen]
-    e = solution.residuals[chosen]
+    information = features.information[chosen]
+    e = features.residuals[chosen]
 
     # m = σ l, the direction in which an error of the disparity moves the residual.
     variance = disparity_variance(noise.scale[chosen])
-    direction = -solution.disparity_jacobian[chosen]
+    direction = -features.disparity_jacobian[chosen]
     direction[:, 2] -= 1.0
     direction *= np.sqrt(variance)[:, None]
 
-    # Σ⁻¹ m of each feature, and from it a and b; s is the solution's.
+    # Σ⁻¹ m of each feature, and from it a and b; s is that of the solve.
     white = np.einsum("nij,nj->ni", information, direction)
-    s = solution.mahalanobis_sq[chosen]
+    s = features.mahalanobis_sq[chosen]
     a = np.sum(white * e, axis=1)
     b = np.sum(white * direction, axis=1)
 

@@ -152,5 +152,6 @@ def _predicted_cov(solution: ReprojectionSolution) -> FloatArray:
     """
     # Λ = Σ Jᵀ Σ_i⁻¹ J. A pseudo-inverse, since the features of a subset need not fix all of ξ to
     # working precision.
-    information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
+    jacobian = solution.features.jacobian
+    information = sum_products(jacobian, solution.features.information @ jacobian)
     return np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64)
