@@ -96,6 +96,26 @@ def test_poses_beyond_the_run_are_left_out_and_that_is_said(
     assert "first 8 of 12 true poses" in capsys.readouterr().out
 
 
+def test_poses_of_missing_frames_are_not_taken_for_those_behind_them(
+    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Eight frames, of which the last four come 0.4 s late: 12 true poses."""
+    run = shutil.copytree(wall_run, tmp_path / "run")
+    with np.load(run / "motions.npz") as file:
+        arrays = dict(file)
+    arrays["stamps_ns"][4:] += 4 * (arrays["stamps_ns"][1] - arrays["stamps_ns"][0])
+    np.savez(run / "motions.npz", **arrays)
+    before = (run / "metrics.json").read_bytes()
+    write_kitti_poses(tmp_path / "gt.txt", true_poses(12))
+    assert eval_exit(run, "--gt", tmp_path / "gt.txt") == 2
+    message = capsys.readouterr().err
+    assert "12 poses for the 8 frames" in message
+    assert "of which 4 are missing by the times" in message
+    assert (run / "metrics.json").read_bytes() == before
+    write_kitti_poses(tmp_path / "gt.txt", true_poses(8))
+    assert eval_exit(run, "--gt", tmp_path / "gt.txt") == 0
+
+
 def test_tum_poses_are_matched_by_time(
     wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -106,6 +106,17 @@ def test_the_effective_config_repeats_the_run(wall_run: Path, tmp_path: Path) ->
     assert (tmp_path / "trajectory.tum").read_bytes() == (wall_run / "trajectory.tum").read_bytes()
 
 
+def test_a_repeated_run_leaves_the_bag_of_the_first_alone(wall: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    bag = tmp_path / "first.bag"
+    words = ["run", str(wall), "--max-frames", "3"]
+    assert main([*words, "--out", str(tmp_path / "first"), "--write", str(bag)]) == 0
+    before = bag.read_bytes()
+    words = ["run", "--config", str(tmp_path / "first" / "config.yaml"), "--noise", "fixed"]
+    assert main([*words, "--out", str(tmp_path / "again")]) == 0
+    assert bag.read_bytes() == before
+
+
 def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: Path) -> None:
     file = tmp_path / "settings.yaml"
     file.write_text("noise: fixed\ntracking: {num_features: 300, window_px: 13}\n")

@@ -202,6 +202,8 @@ def _span(stamps_ns: IntArray) -> str:
 
 def _check_numbers(estimate: Trajectory, truth: Trajectory) -> str:
     """Check that true poses can be matched by number; return a remark if there are more of them."""
+    from probevo.output.run_result import num_lost_frames
+
     num_frames = len(estimate.T_world_cam)
     num_poses = len(truth.T_world_cam)
     if num_poses < num_frames:
@@ -212,6 +214,14 @@ def _check_numbers(estimate: Trajectory, truth: Trajectory) -> str:
         )
     if num_poses == num_frames:
         return ""
+    num_lost = 0 if estimate.stamps_ns is None else num_lost_frames(estimate.stamps_ns)
+    if num_lost:
+        raise InputError(
+            truth.where,
+            f"{num_poses} poses for the {num_frames} frames of {estimate.where}, of"
+            f" which {num_lost} are missing by the times: it is not known which pose is of which.",
+            "Give one pose for each frame that is there, or true poses with times (TUM).",
+        )
     if truth.stamps_ns is not None:
         raise InputError(
             truth.where,

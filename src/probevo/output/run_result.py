@@ -216,7 +216,7 @@ class RunResult:
         They are frames that were lost, by the stamps; steps that were not solved, by their status;
         steps without a sensor that was found to lie; and what was ``unusable``.
         """
-        counts = {"lost_frames": self._lost_frames()}
+        counts = {"lost_frames": num_lost_frames(self.stamps_ns)}
         for status in Status:
             if status not in (Status.FIRST, Status.OK):
                 counts[f"steps_{status.name.lower()}"] = int((self.status == status).sum())
@@ -322,13 +322,6 @@ class RunResult:
         columns["status"] = ["FIRST", *names][: len(self)]
         return pd.DataFrame(columns, index=pd.Index(self.stamps_ns, name="stamp_ns"))
 
-    def _lost_frames(self) -> int:
-        """Count the frames that are missing where a step is longer than the median one."""
-        steps_ns = np.diff(self.stamps_ns)
-        if len(steps_ns) == 0:
-            return 0
-        return int(np.maximum(np.round(steps_ns / np.median(steps_ns)) - 1.0, 0.0).sum())
-
     def facts(self) -> list[tuple[str, str]]:
         """Return name and text of what a glance should show."""
         duration_s = 1e-9 * float(self.stamps_ns[-1] - self.stamps_ns[0]) if len(self) else 0.0
@@ -340,6 +333,18 @@ class RunResult:
             ("path", f"{path_m:.4g} m"),
             ("steps", ", ".join(f"{count} {name}" for name, count in counts.most_common())),
         ]
+
+
+def num_lost_frames(stamps_ns: IntArray) -> int:
+    """Count the frames that are missing where a step is longer than the median one.
+
+    Args:
+        stamps_ns: of the N frames that are there, [N], ns.
+    """
+    steps_ns = np.diff(stamps_ns)
+    if len(steps_ns) == 0:
+        return 0
+    return int(np.maximum(np.round(steps_ns / np.median(steps_ns)) - 1.0, 0.0).sum())
 
 
 def facts_table(facts: list[tuple[str, str]]) -> str:

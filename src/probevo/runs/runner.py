@@ -45,7 +45,7 @@ from probevo.output.run_files import (
     TRAJECTORY_TUM,
 )
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
-from probevo.output.viewer_file import WINDOW, ViewerFile, check_viewer_path, opened_viewer
+from probevo.output.viewer_file import ViewerFile, check_viewer_path, opened_viewer
 from probevo.python_arguments import as_path, as_sensors, as_sequence
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
@@ -394,16 +394,19 @@ def _write_results(
 
 def _portable_settings(sequence: Sequence, config: RunConfig) -> str:
     """Return all settings as YAML, with absolute paths: ``--config`` finds the recording and the
-    noise model from any directory."""
-    names = ("calibration", "imu_noise", "truth", "mask_left", "mask_right", "write", "viewer")
+    noise model from any directory.
+
+    Files that the run writes beside the folder are none of them: a run by these settings, or by
+    others that begin with these, would replace those of this one.
+    """
+    names = ("calibration", "imu_noise", "truth", "mask_left", "mask_right")
     paths = {name: getattr(config, name) for name in names}
-    absolute = {
-        name: path if path in (None, WINDOW) else path.resolve() for name, path in paths.items()
-    }
+    absolute = {name: None if path is None else path.resolve() for name, path in paths.items()}
     absolute["sequence"] = (config.sequence or sequence.path).resolve()
     absolute["noise"] = portable(config.noise)
     absolute["sensor"] = tuple(path.resolve() for path in config.sensor)
-    return config_text(config.model_copy(update=absolute))
+    written = {"write": None, "viewer": None}
+    return config_text(config.model_copy(update=absolute | written))
 
 
 @dataclass(frozen=True)

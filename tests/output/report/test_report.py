@@ -18,7 +18,7 @@ from probevo.output.drawing import draw_tracks
 from probevo.output.report import report
 from probevo.output.report.report import RunDescription, write_report
 from probevo.output.report.report_calibration import calibration_figure
-from probevo.output.report.report_data import drift_of
+from probevo.output.report.report_data import Drift, drift_of
 from probevo.output.report.report_plots import trajectory_figure
 from probevo.output.report.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
@@ -292,15 +292,24 @@ def test_an_anees_that_is_no_test_says_so(
 
 
 @pytest.mark.parametrize(
-    ("error_m", "text"),
+    ("error_m", "known", "text"),
     [
-        (0.05, "end position, worst axis"),
-        (0.65, "end position, worst axis; the end error is 6.50 times this"),
-        (None, "end position, worst axis"),
+        (0.05, 3, ""),
+        (0.65, 3, "; the end error is 6.50 times this"),
+        (0.65, 2, "; at frame 1, the last with truth, the error is 6.50 times its claim"),
+        (None, 3, ""),
     ],
 )
-def test_an_end_beyond_the_claim_says_so(error_m: float | None, text: str) -> None:
+def test_an_end_beyond_the_claim_says_so(error_m: float | None, known: int, text: str) -> None:
+    """The claim at the last frame is ten times that at the one before: it says nothing of that."""
+    error = None
+    if error_m is not None:
+        error = np.zeros((3, 6))
+        error[1:, 0] = error_m
+        error[known:] = np.nan
+    claimed_m = np.array([0.0, 0.1, 1.0 if known == 2 else 0.1])
+    cov = np.zeros((3, 6, 6))
+    cov[:, 0, 0] = (claimed_m / 3.0) ** 2
     at_rest = np.tile(np.eye(4), (3, 1, 1))
-    metrics = replace(evaluate(at_rest, at_rest), final_error_m=error_m)
-    assert report._claim_aside(0.1, metrics) == text
-    assert report._claim_aside(0.1, None) == "end position, worst axis"
+    drift = Drift(np.arange(3.0), np.zeros(3), at_rest, None, error, cov)
+    assert report._claim_aside(drift) == f"end position, worst axis{text}"

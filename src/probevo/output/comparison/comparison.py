@@ -81,10 +81,11 @@ class Entry:
     @property
     def asides(self) -> tuple[float | None, ...]:
         """Figures of the run that are no errors, in the order of ``ASIDES``; None where unknown."""
-        is_ok = self.result.status == Status.OK
+        status = self.result.status
+        is_solved = (status == Status.OK) | (status == Status.RECOVERED)
         out_of_domain = self.result.out_of_domain
         return (
-            100.0 * float(np.mean(is_ok)) if len(is_ok) else None,
+            100.0 * float(np.mean(is_solved)) if len(status) else None,
             self.metrics.anees if self.metrics else None,
             None if out_of_domain is None else 100.0 * out_of_domain,
         )
