@@ -606,6 +606,7 @@ class StereoOdometry:
                 motion_model=model,
                 disparities=DisparityFilter.none(),
                 residuals=LastResiduals.none(),
+                noise_scale=state.noise_scale.after(visual.estimated_noise_factor),
             )
         # An accepted solve
         motion = solved.calibrated.accepted()

@@ -10,6 +10,7 @@ from probevo.arrays import FloatArray
 from probevo.estimation.feature_weights import (
     INLIER_FROM,
     REFERENCE_DOF,
+    are_usual,
     comparable_weights,
     feature_weights,
     scale_of_residuals,
@@ -95,3 +96,32 @@ def test_the_scale_of_residuals_is_their_factor_over_the_noise(dof: float) -> No
     spoiled = squared.copy()
     spoiled[:10_000] = 1e4
     assert 1.0 < scale_of_residuals(spoiled, each) < 7.0
+
+
+@pytest.mark.parametrize("count", [8, 20, 200])
+def test_residuals_of_a_fitted_motion_are_scaled_by_the_numbers_that_were_fitted(
+    count: int,
+) -> None:
+    """Projected off six directions, Gaussian residuals are shorter than the errors."""
+    rng = np.random.default_rng(count)
+    found = []
+    for _ in range(400):
+        basis, _ = np.linalg.qr(rng.normal(size=(4 * count, 6)))
+        error = rng.normal(size=4 * count)
+        residual = error - basis @ (basis.T @ error)
+        squared = np.sum(residual.reshape(count, 4) ** 2, axis=1)
+        found.append(scale_of_residuals(squared, np.full(count, np.inf), num_fitted=6))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize("count", [7, 10, 20, 50, 200])
+@pytest.mark.parametrize("dof", [1.6, 5.0, 100.0])
+def test_tracks_whose_noise_is_as_predicted_are_usual_however_few(count: int, dof: float) -> None:
+    """And four times the variance is found out, if they are enough to tell."""
+    rng = np.random.default_rng(count)
+    squared = 4.0 * rng.f(4.0, dof, size=(500, count))
+    each = np.full(count, dof)
+    usual = [are_usual(comparable_weights(features(s, dof), each)) for s in squared]
+    assert np.mean(usual) > 0.94
+    noisier = [are_usual(comparable_weights(features(4.0 * s, dof), each)) for s in squared]
+    assert count < 50 or np.mean(noisier) < 0.2

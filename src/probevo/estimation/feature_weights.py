@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.reprojection import SolvedFeatures
+from probevo.measurements.robust_loss_numba import RESIDUAL_DIM
 from probevo.measurements.stereo_numba import BEHIND
 
 OUTLIER_BELOW = 0.1
@@ -14,6 +17,10 @@ REFERENCE_DOF = 5.0
 """Degrees of freedom to which all weights are converted."""
 INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
+MIN_INLIER_SHARE = 0.5
+"""Share of inliers among the tracks used, below which the noise is larger than predicted."""
+CHANCE_SIGMAS = 2.0
+"""Standard deviations by which the number of inliers may be smaller than expected."""
 MIN_TAIL = 0.001
 """Tail probability of a residual below which the track does not agree with the motion."""
 GAUSSIAN_FROM = 1e6
@@ -39,6 +46,23 @@ def feature_weights(features: SolvedFeatures, dof: FloatArray, loss: str) -> Flo
 def num_inliers(weights: FloatArray) -> int:
     """Return how many of N weights are those of inliers."""
     return int((weights >= INLIER_FROM).sum())
+
+
+def num_agreeing(weights: FloatArray) -> int:
+    """Return how many of N weights are those of tracks that are no outliers."""
+    return int((weights >= OUTLIER_BELOW).sum())
+
+
+def are_usual(weights: FloatArray) -> bool:
+    """Return whether as many of N tracks are inliers as their predicted noise lets expect.
+
+    It does with half of them, or with fewer where chance explains that: of few tracks whose noise
+    is as predicted, often less than half have an inlier's weight.
+    """
+    expected = INLIER_SHARE * len(weights)
+    sigma = math.sqrt(expected * (1.0 - INLIER_SHARE))
+    fewest = min(MIN_INLIER_SHARE * len(weights), expected - CHANCE_SIGMAS * sigma)
+    return num_inliers(weights) >= fewest
 
 
 def agree_with_noise(squared: FloatArray, dof: FloatArray, factor: float = 1.0) -> BoolArray:
@@ -73,7 +97,7 @@ def comparable_weights(features: SolvedFeatures, dof: FloatArray) -> FloatArray:
     return comparable
 
 
-def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
+def scale_of_residuals(squared: FloatArray, dof: FloatArray, *, num_fitted: int = 0) -> float:
     """Return the factor by which the variance of N residuals exceeds that of their noise.
 
     It is the median of their squared lengths s, [N], each divided by the median of its
@@ -82,11 +106,15 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
     Args:
         squared: eᵀ Σ⁻¹ e of each residual, [N], N > 0.
         dof: degrees of freedom ν of each feature's noise, [N].
+        num_fitted: how many numbers were fitted to the residuals, such as the six of a motion: they
+            are smaller than the errors by that share (Bessel's correction).
     """
     log_dof = np.log(np.minimum(dof, GAUSSIAN_FROM))
     medians = np.exp(np.interp(log_dof, _LOG_DOF, _LOG_MEDIANS))
     # The median tolerates up to half of the residuals as outliers.
-    return float(np.median(squared / medians))
+    num_numbers = RESIDUAL_DIM * len(squared)
+    correction = num_numbers / max(num_numbers - num_fitted, 1)
+    return correction * float(np.median(squared / medians))
 
 
 def tail_probability_of(squared: FloatArray, dof: FloatArray) -> FloatArray:
@@ -108,6 +136,8 @@ def _tail_probability(share: FloatArray, dof: FloatArray | float) -> FloatArray:
 
 _REFERENCE_WEIGHTS = np.linspace(0.0, 1.0, 4001)
 _REFERENCE_TAILS = _tail_probability(_REFERENCE_WEIGHTS, REFERENCE_DOF)
+INLIER_SHARE = 1.0 - float(_tail_probability(np.array(INLIER_FROM), REFERENCE_DOF))
+"""Share of inliers among tracks whose noise is as predicted, 0.6."""
 
 
 def _median_squared(dof: FloatArray) -> FloatArray:

@@ -143,10 +143,7 @@ def estimate_motion(
 def _noise_factor(squared: FloatArray, noise: StereoNoise) -> float:
     """Return the factor by which the variances of a noise model would fit the residuals at a motion
     that was solved for, [N]: as that of one step (``NoiseScale``)."""
-    # Of four numbers a match, the six of the motion are fitted.
-    num_numbers = 4.0 * len(squared)
-    fitted = num_numbers / (num_numbers - 6.0)
-    shown = fitted * scale_of_residuals(squared, noise.dof)
+    shown = scale_of_residuals(squared, noise.dof, num_fitted=6)
     return min(max(shown, 1.0 / MAX_FACTOR), MAX_FACTOR)
 
 

@@ -114,8 +114,11 @@ class ReprojectionSolution:
 
     @property
     def exceeds_noise(self) -> bool:
-        """Whether the motion is much more than its noise (``MIN_MOTION``)."""
+        """Whether the motion is much more than its noise (``MIN_MOTION``), in the directions that
+        the features fix."""
         xi = se3.log(self.T_curr_prev)
+        if not np.isfinite(self.cov).all():
+            return bool(xi @ self.hessian @ xi > MIN_MOTION)
         return bool(squared_mahalanobis(xi, self.cov) > MIN_MOTION)
 
     @property

@@ -17,8 +17,11 @@ from probevo.estimation.determined import is_determined
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
+    MIN_INLIER_SHARE,
     OUTLIER_BELOW,
     agree_with_noise,
+    are_usual,
+    num_agreeing,
     num_inliers,
     scale_of_residuals,
 )
@@ -47,9 +50,12 @@ from probevo.tracking.tracks import Tracks
 MAX_SCALE = 30.0
 """Largest factor by which the variances may exceed those of the noise model: 5 times σ, or 1 px
 with ``student-t``. With more, the features do not agree on a motion."""
-MIN_INLIER_SHARE = 0.5
-"""Share of inliers among the tracks used, below which the noise is larger than predicted. If the
-prediction holds, the share is half or more."""
+MAX_SMALLER_FACTOR = 0.3
+"""Ratio of the variance that a step shows to the one expected, up to which it is clearly smaller:
+the logarithm of what steps show scatters by up to 0.5 (``NoiseScale``), that of a dozen tracks by
+0.6."""
+MOTION_DIM = 6
+"""Degrees of freedom of a motion."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +171,7 @@ class _Solve:
         if not (has_moved and np.isfinite(self.noise.dof).all()):
             return None
         return self.noise_factor * scale_of_residuals(
-            solution.features.mahalanobis_sq, self.noise.dof
+            solution.features.mahalanobis_sq, self.noise.dof, num_fitted=MOTION_DIM
         )
 
     def differs_from(self, T_curr_prev: FloatArray) -> bool:
@@ -282,6 +288,28 @@ class VisualEstimator:
             rng: source of RANSAC's samples.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
+        visual = self._estimate_under(priors, tracks, phi, rng=rng, clock=clock)
+        shown = visual.estimated_noise_factor
+        if visual.status is not Status.DEGENERATE or shown is None:
+            return visual
+        if shown > MAX_SMALLER_FACTOR * priors.noise_factor:
+            return visual
+        # The noise is clearly smaller than expected, and so the motion may be determined after all.
+        smaller = replace(priors, noise_factor=shown)
+        again = self._estimate_under(smaller, tracks, phi, rng=rng, clock=clock)
+        return again if again.status is Status.OK else visual
+
+    def _estimate_under(
+        self,
+        priors: MotionPriors,
+        tracks: Tracks,
+        phi: FloatArray,
+        *,
+        rng: np.random.Generator,
+        clock: StageClock,
+    ) -> VisualMotion:
+        """Estimate the motion under the noise that the model predicts, times
+        ``priors.noise_factor``; see ``estimate``."""
         # RANSAC: which tracks agree on a motion, and where the solve starts.
         jitter_cov = priors.jitter_cov
         if jitter_cov is None:
@@ -304,25 +332,21 @@ class VisualEstimator:
         if _contradicts_prediction(solve, priors.prediction):
             solve = self._solve_of_rival(tracks, phi, consensus, priors, rng=rng) or solve
         # Accept or reject it.
-        fewest = fewest_inliers(
-            num_used=len(solve.tracks),
+        solution = solve.estimate.solution
+        is_supported = are_beyond_chance(
+            solve.estimate.weights,
             num_tracks=len(tracks),
             need_larger_noise=solve.need_larger_noise,
             config=self._config,
         )
         status = evaluate_status(
-            solve.estimate.solution,
-            solve.estimate.weights,
-            priors.prediction,
-            fewest=fewest,
-            config=self._config,
+            solution, priors.prediction, is_supported=is_supported, config=self._config
         )
-        solution = solve.estimate.solution
         # Of a degenerate solve, a window can still use the directions that are determined.
         is_partly_determined = (
             status is Status.DEGENERATE
             and solution.converged
-            and solve.estimate.num_inliers >= fewest
+            and is_supported
             and priors.prediction.agrees(solution.T_curr_prev, solution.hessian)
         )
         # The residuals of the two frames alone.
@@ -334,7 +358,9 @@ class VisualEstimator:
         if self._predicts_from_motion:
             T_reference = self._reference_motion(solve, priors)
         estimated_noise_factor = None
-        if self._scales_noise and status is Status.OK:
+        # Residuals show the noise in the directions that are open, too.
+        is_solved = status is Status.OK or (status is Status.DEGENERATE and solution.converged)
+        if self._scales_noise and is_solved and is_supported:
             estimated_noise_factor = solve.estimated_noise_factor(two_frames_only)
         disparities = DisparityFilter.none()
         if status is Status.OK:
@@ -400,14 +426,15 @@ class VisualEstimator:
         """
         # First with the predicted noise.
         solve = self._solve_of_consensus(tracks, phi, consensus, priors)
-        if not self._is_noisier_than_expected(solve.estimate):
+        is_of_majority = solve.estimate.num_inliers >= MIN_INLIER_SHARE * len(tracks)
+        if is_of_majority and not self._is_noisier_than_expected(solve.estimate):
             return solve
         # RANSAC's threshold knows nothing of the noise: more tracks may agree near the prediction.
         rival = self._more_near_prediction(tracks, phi, solve, priors)
         if rival is not None:
             solve = self._solve_of_consensus(tracks, phi, rival, priors)
-            if not self._is_noisier_than_expected(solve.estimate):
-                return solve
+        if not self._is_noisier_than_expected(solve.estimate):
+            return solve
         # Then with what all tracks show of the noise, at the motion found.
         solution = solve.estimate.solution
         fitting = self._adapted_noise(
@@ -478,8 +505,8 @@ class VisualEstimator:
         self, tracks: Tracks, phi: FloatArray, solve: _Solve, priors: MotionPriors
     ) -> Consensus | None:
         """Return the motion that a robust solve with all N tracks finds from the prediction, if it
-        is another one than was solved for, and more of them are inliers under the predicted noise
-        and too many to agree by chance; None otherwise.
+        is another one than was solved for, and they agree better on it: by the sum of their weights
+        under the predicted noise, and too many to do so by chance. None otherwise.
 
         Args:
             tracks: the N tracks.
@@ -497,8 +524,9 @@ class VisualEstimator:
             guess=priors.prediction.T_curr_prev,
             priors=priors,
         )
-        fewest = self._config.solver.min_tracks_beyond_chance
-        if found.num_inliers < max(fewest, solve.estimate.num_inliers + 1):
+        if num_agreeing(found.weights) < self._config.solver.min_tracks_beyond_chance:
+            return None
+        if found.weights.sum() <= solve.estimate.weights.sum():
             return None
         # It may be the same motion, seen with more noise than predicted.
         T_curr_prev = found.solution.T_curr_prev
@@ -554,8 +582,7 @@ class VisualEstimator:
         This alone is no reason to reject the frame: if the features agree on a motion, its
         covariance is enlarged to what the residuals show.
         """
-        fewest = max(self._config.solver.min_tracks, MIN_INLIER_SHARE * len(estimate.weights))
-        return self._config.solver.loss == "noise" and estimate.num_inliers < fewest
+        return self._config.solver.loss == "noise" and not are_usual(estimate.weights)
 
     def _adapted_noise(
         self,
@@ -581,7 +608,7 @@ class VisualEstimator:
         )
         # Scale by the median of all residuals, of which at least half must be no outliers.
         squared = evaluated_at(solution, observations).features.mahalanobis_sq
-        factor = _residual_scale(squared, noise)
+        factor = max(1.0, scale_of_residuals(squared, noise.dof))
         agree = agree_with_noise(squared, noise.dof, factor)
         if noise_factor * factor > MAX_SCALE:
             agree[:] = False
@@ -654,13 +681,14 @@ def _enlarged(cov: FloatArray, factor: float, other_information: FloatArray) -> 
 
 
 def _residual_scale(squared: FloatArray, noise: StereoNoise) -> float:
-    """Return the factor by which the variance of N residuals exceeds their noise, 1 at least.
+    """Return the factor by which the variance of N residuals of a solve exceeds their noise, 1 at
+    least.
 
     Args:
         squared: eᵀ Σ⁻¹ e of each, [N].
         noise: their noise.
     """
-    return max(1.0, scale_of_residuals(squared, noise.dof))
+    return max(1.0, scale_of_residuals(squared, noise.dof, num_fitted=MOTION_DIM))
 
 
 def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool:
@@ -671,28 +699,29 @@ def _contradicts_prediction(solve: _Solve, prediction: MotionPrediction) -> bool
     return prediction.fails_gate(solution.T_curr_prev, solution.cov, MOTIONS_DIFFER_FROM)
 
 
-def fewest_inliers(
-    *, num_used: int, num_tracks: int, need_larger_noise: bool, config: OdometryConfig
-) -> int:
-    """Return how many inliers a solve needs, so that they do not agree by chance.
+def are_beyond_chance(
+    weights: FloatArray, *, num_tracks: int, need_larger_noise: bool, config: OdometryConfig
+) -> bool:
+    """Return whether enough of the N tracks of a solve agree, and not by chance.
 
     Args:
-        num_used: number of tracks that the solve used.
+        weights: weight of each track that the solve used, [N].
         num_tracks: number of tracks of the step, with those that RANSAC rejected.
         need_larger_noise: whether they agree only under a larger noise than was predicted.
         config: settings of the solver.
     """
-    may_be_chance = need_larger_noise or num_used < 0.5 * num_tracks
-    solver = config.solver
-    return solver.min_tracks_beyond_chance if may_be_chance else solver.min_tracks
+    # A minority, or tracks that hardly fit, may agree by chance, and then rather with large
+    # residuals than with small ones.
+    if need_larger_noise or len(weights) < 0.5 * num_tracks:
+        return num_inliers(weights) >= config.solver.min_tracks_beyond_chance
+    return num_agreeing(weights) >= config.solver.min_tracks
 
 
 def evaluate_status(
     solution: ReprojectionSolution,
-    weights: FloatArray,
     prediction: MotionPrediction,
     *,
-    fewest: int,
+    is_supported: bool,
     config: OdometryConfig,
 ) -> Status:
     """Return OK if a solve is determined in all six dimensions by enough tracks, converged, and
@@ -700,14 +729,13 @@ def evaluate_status(
 
     Args:
         solution: the solve.
-        weights: weight of each track that it used, [N].
         prediction: motion predicted before the images are used.
-        fewest: least number of inliers that do not agree by chance.
+        is_supported: whether enough of its tracks agree (``are_beyond_chance``).
         config: settings of the solver.
     """
     if not is_determined(solution.cov, config.solver):
         return Status.DEGENERATE
-    if num_inliers(weights) < fewest:
+    if not is_supported:
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.

@@ -120,7 +120,7 @@ def test_features_that_contradict_the_prediction_do_not_count(
     T_curr_prev = se3.exp(np.array([0.0, 0.0, -speed_m, 0.0, 0.0, 0.0]))
     is_far = features.pixels[:, 0] - features.pixels[:, 2] < 20.0
     seen = np.flatnonzero(is_far)[:12]
-    pixels = moved(features.pixels[seen], T_curr_prev) + 0.1 * rng.normal(size=(len(seen), 4))
+    pixels = moved(features.pixels[seen], T_curr_prev) + 0.2 * rng.normal(size=(len(seen), 4))
     few = replace(frames[7], features=StereoFeatures(features.ids[seen], pixels))
     assert odometry.step(few).status is Status.DEGENERATE
     assert odometry.window is not None
