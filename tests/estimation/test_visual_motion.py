@@ -266,13 +266,36 @@ def test_residuals_show_the_factor_of_the_noise(sigma_px: float) -> None:
     assert visual.estimated_noise_factor == pytest.approx((sigma_px / 0.2) ** 2, rel=0.2)
 
 
+class PartlyGaussian(StudentT):
+    """The even features have ν = ∞."""
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        noise = super().predict(predictors)
+        return replace(noise, dof=np.where(np.arange(len(noise.dof)) % 2, noise.dof, np.inf))
+
+
+def test_features_of_gaussian_noise_do_not_keep_the_others_from_showing_the_factor() -> None:
+    tracks = seen_twice(np.random.default_rng(0), 400, sigma_px=0.6, depth_m=NEAR_M)
+    noise = PartlyGaussian(100.0, 0.2**2 * np.eye(4), scale_is_relative=True)
+    assert estimate(tracks, noise=noise).estimated_noise_factor == pytest.approx(9.0, rel=0.25)
+
+
 def test_a_scale_that_was_given_is_kept() -> None:
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.2)
     given = StudentT(4.0, 0.03 * np.eye(4))
     fitted = StudentT(4.0).fit(np.zeros((50, 0)), np.random.default_rng(0).normal(size=(50, 4)))
     read = StudentT.from_file(fitted.to_file())
     published = GeneralizedKernel("published")
-    for noise in (given, fitted, read, NearestNeighbors(base=given), Fixed(), published):
+    gaussian = StudentT(np.inf)
+    for noise in (
+        given,
+        fitted,
+        read,
+        gaussian,
+        NearestNeighbors(base=given),
+        Fixed(),
+        published,
+    ):
         assert not has_relative_scale(noise)
     relative = Scaled(4.0, 0.03 * np.eye(4))
     models = (StudentT(), StudentT(4.0), relative)

@@ -8,7 +8,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.noise.metric import FARTHEST, UNDEFINED, Metric
+from probevo.noise.metric import FARTHEST, RARELY_UNDEFINED, UNDEFINED, Metric
 
 COLUMNS = ("blur", "speed", "entropy")
 
@@ -67,12 +67,35 @@ def test_what_is_undefined_lies_in_a_place_of_its_own(data: FloatArray) -> None:
     assert np.isfinite(coordinates).all()
 
 
+@pytest.mark.parametrize(("num_undefined", "is_apart"), [(0, False), (9, False), (10, True)])
+def test_what_training_has_hardly_seen_undefined_lies_at_the_mean(
+    num_undefined: int, is_apart: bool
+) -> None:
+    """Less than 1 % of the values. Apart, it would be like the lowest of them."""
+    places = np.random.default_rng(0).normal(size=(1000, 3))
+    places[:num_undefined, 2] = np.nan
+    metric = Metric.fitted(places, COLUMNS, (False, False, True))
+    query = np.array([[0.3, 0.2, np.nan], [0.3, 0.2, 0.1]])
+    expected = UNDEFINED if is_apart else 0.0
+    assert metric.coordinates(query)[0, 2] == pytest.approx(expected, abs=1e-5)
+    np.testing.assert_array_equal(metric.is_unknown(query), [not is_apart, False])
+    # A column that does not contribute says nothing, defined or not.
+    unweighted = replace(metric, weight=np.array([1.0, 1.0, 0.0]))
+    assert not unweighted.is_unknown(query).any()
+
+
+def test_a_subset_of_columns_keeps_where_undefined_values_lie(data: FloatArray) -> None:
+    data[::4, 2] = np.nan
+    metric = Metric.fitted(data, COLUMNS, (False, True, True)).subset(np.array([1, 2]))
+    np.testing.assert_array_equal(metric.undefined_at, [RARELY_UNDEFINED, UNDEFINED])
+
+
 def test_an_undefined_value_is_weighed_too(data: FloatArray) -> None:
-    data[3, 0] = np.nan
+    data[::4, 0] = np.nan
     metric = replace(
         Metric.fitted(data, COLUMNS, (True, False, False)), weight=np.array([0.3, 1.0, 1.0])
     )
-    assert metric.coordinates(data)[3, 0] == pytest.approx(0.3 * UNDEFINED)
+    assert metric.coordinates(data)[4, 0] == pytest.approx(0.3 * UNDEFINED)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, -1e6 / 3.0])

@@ -215,6 +215,7 @@ INDEFINITE = np.diag([1.0, 1.0, -1.0, 1.0])
         (lambda: StudentT(dof=-1.0), "its dof is -1"),
         (lambda: StudentT(dof=np.nan), "its dof is nan"),
         (lambda: StudentT(dof="5"), "its dof is '5'"),  # type: ignore[arg-type]
+        (lambda: StudentT(np.inf, scale_is_relative=True), "its scale_is_relative is True where"),
         (lambda: StudentT(scale=np.full((4, 4), np.nan)), "its scale is"),
         (lambda: StudentT(scale=INDEFINITE), "its scale is"),
         (lambda: StudentT(scale=np.eye(3)), "its scale is"),

@@ -97,7 +97,7 @@ def comparable_weights(features: SolvedFeatures, dof: FloatArray) -> FloatArray:
     return comparable
 
 
-def scale_of_residuals(squared: FloatArray, dof: FloatArray, *, num_fitted: int = 0) -> float:
+def scale_of_residuals(squared: FloatArray, dof: FloatArray, *, num_fitted: float = 0.0) -> float:
     """Return the factor by which the variance of N residuals exceeds that of their noise.
 
     It is the median of their squared lengths s, [N], each divided by the median of its
@@ -113,7 +113,7 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray, *, num_fitted: int 
     medians = np.exp(np.interp(log_dof, _LOG_DOF, _LOG_MEDIANS))
     # The median tolerates up to half of the residuals as outliers.
     num_numbers = RESIDUAL_DIM * len(squared)
-    correction = num_numbers / max(num_numbers - num_fitted, 1)
+    correction = num_numbers / max(num_numbers - num_fitted, 1.0)
     return correction * float(np.median(squared / medians))
 
 

@@ -161,17 +161,20 @@ class _Solve:
         """Return the factor by which the variances of the noise model would fit the residuals.
 
         None where they do not show it: Gaussian noise has no room for outliers, so that its scale
-        is no measure of theirs; and a feature that has hardly moved has the same error in both
-        frames (``Tracks.novelty``).
+        is no measure of theirs, and the other features alone count; and a feature that has hardly
+        moved has the same error in both frames (``Tracks.novelty``).
 
         Args:
             solution: these tracks, under their noise and without any earlier frame.
         """
         has_moved = solution.exceeds_noise and self.tracks.novelty == 1.0
-        if not (has_moved and np.isfinite(self.noise.dof).all()):
+        has_tails = np.isfinite(self.noise.dof)
+        if not (has_moved and has_tails.any()):
             return None
         return self.noise_factor * scale_of_residuals(
-            solution.features.mahalanobis_sq, self.noise.dof, num_fitted=MOTION_DIM
+            solution.features.mahalanobis_sq[has_tails],
+            self.noise.dof[has_tails],
+            num_fitted=MOTION_DIM * float(has_tails.mean()),
         )
 
     def differs_from(self, T_curr_prev: FloatArray) -> bool:

@@ -159,7 +159,8 @@ def disparity_variance(scale: FloatArray) -> FloatArray:
 class NoiseModel(Protocol):
     """A noise model maps predictors to the noise of each feature; ``predict`` is pure.
 
-    With a property ``scale_is_relative`` that is true, the odometry learns its scale online.
+    With a property ``scale_is_relative`` that is true, the odometry learns its scale online, by
+    the features whose ν is finite.
     """
 
     @property

@@ -7,18 +7,24 @@ Euclidean:  d² = Σ_m w_m² ((φ_m − φ'_m)/σ_m)².
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.moments import Moments
 
 UNDEFINED = -4.0
 """Coordinate of an undefined value, in standard deviations: apart from nearly all defined values,
-so that undefined values are close to each other only. If training had none in a column, all its
-samples are equally far in that column, and the other columns decide."""
+so that undefined values are close to each other only."""
+RARELY_UNDEFINED = 2.0**-20
+"""The same in a column of which training had hardly any undefined value: the mean, so that the
+other columns decide. Apart from defined values, it would be nearest to the lowest of them. It is
+not quite 0, so that undefined values can be distinguished from those of a constant column."""
+MIN_UNDEFINED_SHARE = 0.01
+"""Share of undefined values in the training data from which a column has enough of them to learn
+what they mean."""
 MIN_DEFINED = 2
 """Number of values that a column needs for mean and spread; of a single sample, one suffices."""
 CONSTANT_BELOW = 1e-9
@@ -43,6 +49,9 @@ class Metric:
     """Standard deviation of the training data, [M]; 1 for a constant column."""
     weight: FloatArray
     """Factor on the standardised column, [M]; 0 ignores it."""
+    undefined_at: FloatArray
+    """Coordinate of undefined values in the standardised column, [M]: ``UNDEFINED`` or
+    ``RARELY_UNDEFINED``."""
 
     @staticmethod
     def fitted(
@@ -89,6 +98,8 @@ class Metric:
                     f"it is undefined for all but {count} of {moments.rows} features.",
                     "Leave it out.",
                 )
+        num_undefined = moments.rows - moments.count
+        has_undefined = num_undefined >= max(MIN_UNDEFINED_SHARE * moments.rows, 1)
         # A constant column says nothing; dividing by its spread of rounding errors would make it
         # the most important of all.
         is_constant = moments.spread <= CONSTANT_BELOW * np.abs(moments.mean)
@@ -98,6 +109,7 @@ class Metric:
             mean=moments.mean,
             spread=np.where(is_constant, 1.0, moments.spread),
             weight=np.ones(len(columns)),
+            undefined_at=np.where(has_undefined, UNDEFINED, RARELY_UNDEFINED),
         )
 
     @staticmethod
@@ -113,12 +125,18 @@ class Metric:
             mean=arrays["mean"],
             spread=arrays["spread"],
             weight=arrays["weight"],
+            undefined_at=arrays["undefined_at"],
         )
 
     @property
     def arrays(self) -> dict[str, AnyArray]:
         """The arrays of the metric by their names in a file."""
-        return {"mean": self.mean, "spread": self.spread, "weight": self.weight}
+        return {
+            "mean": self.mean,
+            "spread": self.spread,
+            "weight": self.weight,
+            "undefined_at": self.undefined_at,
+        }
 
     @property
     def is_valid(self) -> bool:
@@ -129,6 +147,7 @@ class Metric:
             and len(set(self.columns)) == count == len(self.may_be_undefined)
             and bool((self.spread > 0.0).all())
             and bool(((self.weight >= 0.0) & (self.weight <= MAX_WEIGHT)).all())
+            and bool(np.isin(self.undefined_at, (UNDEFINED, RARELY_UNDEFINED)).all())
         )
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:
@@ -156,14 +175,27 @@ class Metric:
             mean=self.mean[columns],
             spread=self.spread[columns],
             weight=self.weight[columns],
+            undefined_at=self.undefined_at[columns],
         )
+
+    def with_undefined_apart(self, columns: BoolArray) -> Metric:
+        """Return the metric in which the undefined values of these columns only, [M], are apart
+        from the defined ones."""
+        return replace(self, undefined_at=np.where(columns, UNDEFINED, RARELY_UNDEFINED))
+
+    def is_unknown(self, predictors: FloatArray) -> BoolArray:
+        """Return which of N points [N, M] have an undefined value in a column that contributes, and
+        of which training had hardly any, [N]."""
+        columns = np.flatnonzero((self.weight > 0.0) & (self.undefined_at == RARELY_UNDEFINED))
+        unknown: BoolArray = np.any(np.isnan(predictors[:, columns]), axis=1)
+        return unknown
 
     def _standardised(self, predictors: FloatArray) -> FloatArray:
         # w_m (φ_m − mean_m)/σ_m. Undefined values pass through as NaN until they get their own
         # coordinate.
         standard = (predictors - self.mean) / self.spread
         np.clip(standard, -FARTHEST, FARTHEST, out=standard)
-        standard[np.isnan(standard)] = UNDEFINED
+        np.copyto(standard, self.undefined_at, where=np.isnan(standard))
         standard *= self.weight
         return standard
 

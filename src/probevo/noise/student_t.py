@@ -54,11 +54,12 @@ class StudentT:
             is not known. ``fit`` does not estimate it.
         scale_is_relative: whether the size of the errors differs from recording to recording, and
             the odometry learns it online (``has_relative_scale``). By default it does so for the
-            default scale alone; training sets it.
+            default scale alone; training sets it. For ν = ∞ it cannot: a Gaussian has no room for
+            outliers, so that its scale is no measure of theirs.
 
     Raises:
-        InputError: ν is not positive, the scale is not positive definite, or ``refers_to`` is
-            unknown.
+        InputError: ν is not positive, the scale is not positive definite, ``refers_to`` is
+            unknown, or the scale is to be relative for ν = ∞.
     """
 
     columns: tuple[str, ...] = ()
@@ -77,6 +78,13 @@ class StudentT:
     ) -> None:
         check_refers_to(refers_to)
         _check_dof(dof)
+        if scale_is_relative and np.isinf(dof):
+            raise InputError(
+                "noise model",
+                "its scale_is_relative is True where its dof is inf: the size of Gaussian errors is"
+                " not learned while running.",
+                "Give a finite dof, or leave scale_is_relative out.",
+            )
         if scale is not None:
             check_positive_definite(scale, "scale", 4)
         self.dof = dof
@@ -101,8 +109,9 @@ class StudentT:
 
     @property
     def scale_is_relative(self) -> bool:
-        """Whether the odometry is to learn online how large the errors of a recording are."""
-        return self.scale_is_relative_
+        """Whether the odometry is to learn online how large the errors of a recording are; never
+        for ν = ∞."""
+        return self.scale_is_relative_ and bool(np.isfinite(self.dof_))
 
     def fit(
         self, predictors: FloatArray, residuals: FloatArray, *, error_cov: FloatArray | None = None
@@ -159,7 +168,7 @@ class StudentT:
             "dof": "inf" if np.isinf(self.dof_) else float(self.dof_),
             "refers_to": self.refers_to,
             "time_correlation_ratio": float(self.time_correlation_ratio_),
-            "scale_is_relative": bool(self.scale_is_relative_),
+            "scale_is_relative": bool(self.scale_is_relative),
             **origin_facts(self.camera, self.training),
         }
         arrays: dict[str, AnyArray] = {"scale": np.asarray(self.scale_, dtype=np.float64)}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 
 DIM = 4
 """Dimension d of an error: (u_l, v_l, u_r, v_r)."""
@@ -46,6 +46,16 @@ class StudentTBatch(NamedTuple):
         lower[:, diagonal] = np.log(lower[:, diagonal])
         parameters = np.column_stack([self.bias, lower, np.log(self.dof)])
         return np.ascontiguousarray(parameters, np.float32)
+
+    def replaced(self, chosen: BoolArray, by: StudentTBatch) -> StudentTBatch:
+        """Return the distributions with those chosen, [C], replaced by a single one."""
+        if not chosen.any():
+            return self
+        return StudentTBatch(
+            scale=np.where(chosen[:, None, None], by.scale, self.scale),
+            dof=np.where(chosen, by.dof, self.dof),
+            bias=np.where(chosen[:, None], by.bias, self.bias),
+        )
 
 
 class StudentTPrior(NamedTuple):

@@ -102,6 +102,24 @@ def searched(dof: float) -> GeneralizedKernel:
     return GeneralizedKernel(bias_counts=np.inf).fit(*samples(4000, dof=dof))
 
 
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("num_undefined", [0, 5])
+def test_what_training_has_hardly_seen_undefined_is_out_of_domain(
+    num_undefined: int, exact: bool
+) -> None:
+    """It has the noise of what is unlike all training data, not that of the lowest values."""
+    phi, errors = samples(1000)
+    phi[:num_undefined, 1] = np.nan
+    metric = Metric.fitted(phi, ("place", "blur"), (False, True))
+    model = GeneralizedKernel(**GIVEN | {"weights": np.ones(2)}).fit(phi, errors, metric=metric)
+    query = np.array([phi[500], [phi[500, 0], np.nan]])
+    noise = model.predict_exact(query) if exact else model.predict(query)
+    np.testing.assert_array_equal(noise.out_of_domain, [False, True])
+    prior = model.posterior_.prior if exact else model.prior_
+    np.testing.assert_allclose(noise.scale[1], prior.scale[0])
+    assert noise.dof[1] == pytest.approx(prior.dof[0])
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "model.safetensors"

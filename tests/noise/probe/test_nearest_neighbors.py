@@ -9,7 +9,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel, StudentT
-from probevo.noise.metric import Metric
+from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.probe.nearest_neighbors import MAX_BETA, NearestNeighbors
 
 PLACES = np.array([[0.0], [1.0], [10.0], [11.0]])
@@ -154,10 +154,46 @@ def test_the_samples_come_back(average: str, weight: tuple[float, ...]) -> None:
     )
 
 
+@pytest.mark.parametrize("num_undefined", [0, 4, 24])
+def test_what_training_has_hardly_seen_undefined_is_not_like_the_lowest(num_undefined: int) -> None:
+    """Fewer than half of K: where α grows with a column, an undefined value made it the least."""
+    rng = np.random.default_rng(3)
+    places = rng.normal(size=(1000, 2))
+    alphas = np.exp(places[:, 0] + places[:, 1])
+    places[:num_undefined, 1] = np.nan
+    metric = Metric.fitted(places, ("a", "b"), (False, True))
+    model = NearestNeighbors(50).fit(places, alphas, metric=metric)
+    mean, undefined, lowest = model.log_relative_alpha(
+        np.array([[0.0, metric.mean[1]], [0.0, np.nan], [0.0, -2.5]])
+    )
+    assert undefined == pytest.approx(mean, abs=1e-3)
+    assert lowest < mean - 1.0
+    found, _ = model.samples()
+    assert np.isnan(found[:, 1]).sum() == num_undefined
+
+
+def test_what_is_often_undefined_has_neighbors_of_its_own() -> None:
+    rng = np.random.default_rng(3)
+    places = rng.normal(size=(1000, 2))
+    places[:100, 1] = np.nan
+    alphas = np.where(np.isnan(places[:, 1]), 10.0, 1.0)
+    metric = Metric.fitted(places, ("a", "b"), (False, True))
+    model = NearestNeighbors(50).fit(places, alphas, metric=metric)
+    undefined, defined = model.log_relative_alpha(np.array([[0.0, np.nan], [0.0, 0.0]]))
+    assert undefined - defined == pytest.approx(np.log(10.0), abs=1e-6)
+
+
 def test_a_defined_value_where_the_undefined_lie_stays_defined() -> None:
     """Four standard deviations below the mean, in a column that is never undefined."""
     places = np.array([[-4.0], [0.0], [4.0]])
-    metric = Metric(("a",), (False,), np.zeros(1), spread=np.ones(1), weight=np.ones(1))
+    metric = Metric(
+        ("a",),
+        (False,),
+        np.zeros(1),
+        spread=np.ones(1),
+        weight=np.ones(1),
+        undefined_at=np.full(1, UNDEFINED),
+    )
     found, _ = NearestNeighbors(1).fit(places, np.ones(3), metric=metric).samples()
     np.testing.assert_allclose(np.sort(found[:, 0]), [-4.0, 0.0, 4.0])
 

@@ -10,7 +10,7 @@ import pytest
 
 from output.pages import Balance
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-from probevo.noise.metric import Metric
+from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.inspection.feature_pictures import _MARK, draw_features, value_shades
 from probevo.output.inspection.gk import sections, summary, weighted_table
@@ -94,7 +94,12 @@ def test_used_columns_come_in_the_order_of_their_gain(view: CentersView) -> None
     ]
     bare = GeneralizedKernel()
     bare.metric_ = Metric(
-        COLUMNS, (False,) * 3, np.zeros(3), spread=np.ones(3), weight=np.array([0.5, 0.0, 2.0])
+        COLUMNS,
+        (False,) * 3,
+        np.zeros(3),
+        spread=np.ones(3),
+        weight=np.array([0.5, 0.0, 2.0]),
+        undefined_at=np.full(3, UNDEFINED),
     )
     assert [(column.name, column.gain) for column in used_columns(bare)] == [
         ("holey", None),

@@ -380,6 +380,8 @@ def test_of_two_drives_both_are_learned_from() -> None:
     drives = [supervised_drive("gt", 0, 20), supervised_drive("none", 2, 20)]
     model = learn(drives, **ONCE).model
     assert model.num_samples_ == sum(len(each.drive.phi) for each in drives)
+    # What the predictor says of the sizes is all that there is to say.
+    np.testing.assert_allclose(model.training["recording_factors"], [1.0, 1.0], rtol=0.1)
     assert np.mean(np.abs(log_ratio(model))) < 0.1
 
 

@@ -191,18 +191,20 @@ class GeneralizedKernel:
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Return the noise of n features from their points in the prediction space, [n, M].
 
-        It is interpolated between the centers; its cost does not depend on N.
+        It is interpolated between the centers; its cost does not depend on N. Features whose
+        predictors are undefined where they hardly ever were in training are out of domain.
         """
         coordinates = self._coordinates(predictors)
         students, out_of_domain = self.centers_.at(coordinates, self.domain_radius_, self.prior_)
-        return self._noise(students, out_of_domain)
+        unknown = self.metric_.is_unknown(np.asarray(predictors, dtype=np.float64))
+        return self._noise(students.replaced(unknown, self.prior_), out_of_domain | unknown)
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
         """Return the posterior of all samples instead of the interpolation between centers.
 
         Only a model with its samples can do so, not one that was read from a file. Places without a
-        sample within reach are out of domain; there the noise is the posterior's own prior, which
-        is not widened as in ``predict``.
+        sample within reach are out of domain, and so are the features that are for ``predict``;
+        there the noise is the posterior's own prior, which is not widened as in ``predict``.
 
         Args:
             predictors: points φ of n features in the prediction space, [n, M], in the units of
@@ -213,7 +215,9 @@ class GeneralizedKernel:
         """
         coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
-        return self._noise(students, counts == 0.0)
+        unknown = self.metric_.is_unknown(np.asarray(predictors, dtype=np.float64))
+        students = students.replaced(unknown, self.posterior_.prior)
+        return self._noise(students, unknown | (counts == 0.0))
 
     def _noise(self, students: StudentTBatch, out_of_domain: BoolArray) -> StereoNoise:
         time_correlated = None

@@ -21,7 +21,7 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel, StereoNoise, has_relative_scale
-from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric, have_shapes
+from probevo.noise.metric import FARTHEST, MAX_WEIGHT, Metric, have_shapes
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.probe.base_file import BaseFacts, base_from_parts, base_parts
@@ -118,7 +118,11 @@ class NearestNeighbors:
             )
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
             raise InputError("training data", "an error α is not a positive number.")
-        self.metric_ = metric or Metric.fitted(predictors)
+        metric = metric or Metric.fitted(predictors)
+        # An undefined value is to have others like it for most of its K neighbours; the rest of
+        # them are those with the lowest values.
+        num_undefined = np.isnan(predictors).sum(axis=0)
+        self.metric_ = metric.with_undefined_apart(num_undefined >= 0.5 * self.neighbors)
         # The geometric mean is an arithmetic mean of logarithms, so the index stores these.
         if self.average == "geometric":
             values = np.log(alphas)
@@ -159,7 +163,7 @@ class NearestNeighbors:
         coordinates = self.index_.samples.T
         # A value is undefined if it lies exactly where the metric puts such values.
         undefined = metric.may_be_undefined & (
-            coordinates == (UNDEFINED * metric.weight).astype(np.float32)
+            coordinates == (metric.undefined_at * metric.weight).astype(np.float32)
         )
         # The inverse of the standardisation
         points = coordinates / metric.weight * metric.spread + metric.mean

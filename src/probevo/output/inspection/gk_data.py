@@ -11,7 +11,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.noise.base import StereoNoise
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-from probevo.noise.metric import UNDEFINED
 from probevo.output.inspection.profiles import inner_edges
 
 AXES = ("u_l", "v_l", "disparity")
@@ -75,7 +74,8 @@ class CentersView:
         standard = coordinates[:, stored] / metric.weight[chosen]
         # Stored in single precision; no value that is defined lies so close except by chance.
         may_be_undefined = np.array(metric.may_be_undefined)[chosen]
-        undefined = may_be_undefined & (np.abs(standard - UNDEFINED) < 1e-5)
+        tolerance = 1e-6 * np.abs(metric.undefined_at[chosen])
+        undefined = may_be_undefined & (np.abs(standard - metric.undefined_at[chosen]) < tolerance)
         points = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])
         noise = StereoNoise(
             students.scale,

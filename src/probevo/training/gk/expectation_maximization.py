@@ -32,7 +32,11 @@ from probevo.training.gk.error_samples import (
     gather_error_samples,
 )
 from probevo.training.gk.jitter import initial_covariance, learned_covariance
-from probevo.training.gk.recording_factors import fit_with_factors, recording_factors
+from probevo.training.gk.recording_factors import (
+    fit_kernel_with_factors,
+    fit_with_factors,
+    recording_factors,
+)
 from probevo.training.gk.time_correlation import TimeCorrelationProfile, smallest_likely_ratio
 from probevo.training.trainer import TrainingContext
 
@@ -164,12 +168,13 @@ class _KernelHistory:
     """Hyperparameters of the next iteration, as ``GeneralizedKernel`` takes them."""
 
     def facts_after(
-        self, model: GeneralizedKernel, progress: Mapping[str, float]
+        self, model: GeneralizedKernel, factors: FloatArray, progress: Mapping[str, float]
     ) -> dict[str, Any]:
         """Return the history after one more iteration, in values that JSON can hold.
 
         Args:
             model: fitted in that iteration.
+            factors: factor of its variances in each recording, [D].
             progress: what the iteration says of itself.
         """
         chosen = model.shape_.as_given() | {"weights": model.weights_.tolist()}
@@ -178,6 +183,7 @@ class _KernelHistory:
             "searches": self.searches or model.search_,
             # JSON does not know infinity.
             "given": {name: None if value == np.inf else value for name, value in chosen.items()},
+            "recording_factors": factors.tolist(),
         }
 
     @staticmethod
@@ -198,7 +204,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     # consecutively, for the checkpoint.
     static = learn_student_t(context)
     previous: Model = static
-    factors: FloatArray | None = recording_factors(static.training, len(context.drives))
+    num_recordings = len(context.drives)
     model = GeneralizedKernel()
     history = _KernelHistory(iterations=[], searches={}, given=settings.given())
     first = num_static_iterations(context.settings)
@@ -212,7 +218,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 context,
                 previous,
                 lambda share: context.progress.within_iteration(0.5 * share),
-                factors=factors,
+                factors=recording_factors(previous.training, num_recordings),
             )
             # M-step: the kernel over these errors.
             noisy = samples.with_noise()
@@ -222,11 +228,10 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 centers=settings.centers,
                 refers_to=settings.refers_to,
             )
-            model.fit(
-                noisy.phi,
-                noisy.errors,
-                noisy.groups,
-                error_cov=noisy.error_cov,
+            factors = fit_kernel_with_factors(
+                model,
+                noisy,
+                num_recordings,
                 metric=context.metric,
                 on_progress=lambda done, total: context.progress.within_iteration(
                     0.5 + 0.5 * done / max(total, 1)
@@ -237,22 +242,25 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                 model.time_correlation_ratio_ = updated_time_correlation(
                     previous.time_correlation_ratio_, noisy
                 )
-            model.training = history.facts_after(model, samples.progress)
+            model.training = history.facts_after(model, factors, samples.progress)
             model = model.without_samples()
             context.checkpoint.keep_em_model(number, model)
         # From what the model's file holds, so that a resumed training has the same bits.
         history = _KernelHistory.of_facts(model.training)
         model.weights_ = history.given["weights"]
         previous = model
-        factors = None  # the kernel predicts how large the errors are
         context.progress.iteration_done()
 
     # One more E-step measures how well the last model explains the residuals.
-    last = gather_error_samples(context, model, _unreported).progress
+    factors = recording_factors(model.training, num_recordings)
+    last = gather_error_samples(context, model, _unreported, factors=factors).progress
     model.camera = context.drives[0].camera
     iterations = [*history.iterations, last]
     facts = training_facts(context, iterations, searches=history.searches)
-    model.training = facts | {"kept_iteration": len(iterations) - 1}
+    model.training = facts | {
+        "kept_iteration": len(iterations) - 1,
+        "recording_factors": factors.tolist(),
+    }
     return model
 
 
