@@ -362,8 +362,11 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
     for slot in range(1, len(window)):
         here = window.pose_slice(slot)
         before = window.pose_slice(slot - 1)
-        # Landmarks in common, or an off-diagonal block of the prior, connect the two already.
+        # Landmarks in common, an off-diagonal block of the prior, or dead reckoning connect the two
+        # already.
         if window.has_common_landmarks(slot) or window.prior.information[here, before].any():
+            continue
+        if _is_dead_reckoned(window, slot):
             continue
         T_curr_prev, cov = window.relative(slot, slot - 1)
         motions.append(
@@ -375,3 +378,9 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
             )
         )
     return motions
+
+
+def _is_dead_reckoned(window: Window, slot: int) -> bool:
+    """Return whether dead reckoning connects the frame in a slot with the one before it."""
+    pair = {pose_of(int(window.frames[slot])), pose_of(int(window.frames[slot - 1]))}
+    return any(pair <= set(measurement.variables) for measurement in window.dead_reckoning)
