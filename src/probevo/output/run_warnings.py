@@ -288,7 +288,7 @@ def imu_warning(
         return None
     start = "The" if unused_from is None else f"From frame {unused_from} on, the"
     text = f"The IMU {reason}. {start} path is by images alone."
-    if fault is not None and fault.is_of_samples:
+    if fault is not None and (fault.is_of_samples or fault is ImuFault.TESTING):
         return text
     if shutter_rolls:
         text += (

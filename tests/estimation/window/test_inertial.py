@@ -32,7 +32,9 @@ from probevo.estimation.window.inertial_states import (
 )
 from probevo.estimation.window.inertial_steps import (
     NO_SOLUTION,
+    UNKNOWN_GRAVITY,
     UNTESTABLE,
+    UNTESTED_STEP,
     _motions_by_imu_only,
     initialize_states,
     preintegrate_samples,
@@ -681,6 +683,7 @@ def test_an_imu_waits_until_the_direction_of_gravity_is_known(
         motion = odometry.step(frame)
         alone = images.step(replace(frame, imu=None))
     assert Inertial.of(odometry.window).status is ImuStatus.WAITING
+    assert motion.imu_reason == UNKNOWN_GRAVITY
     np.testing.assert_array_equal(motion.T_world_cam, alone.T_world_cam)
 
 
@@ -771,6 +774,33 @@ def test_an_accelerometer_that_starts_late_is_used() -> None:
     estimates = [by.step(frame) for frame in frames]
     assert not estimates[1].imu_left_out
     assert Inertial.of(by.window).is_used
+
+
+def test_an_imu_that_is_being_tested_says_how_far_it_is() -> None:
+    """Where every fourth interval has no samples, for the whole drive."""
+    frames, _ = drive_of(37, 12)
+    by = odometry()
+    said = [by.step(frame).imu_left_out for frame in frames]
+    connected = "is being tested: its samples connect {} of the 6 frames it takes"
+    assert said == ["", *[connected.format(count) for count in range(2, 6)], *[""] * 7]
+    by = odometry()
+    reasons = []
+    for frame in frames:
+        imu = None if frame.index % 4 == 0 else frame.imu
+        seen = blind_frame(frame.index) if frame.index == 10 else frame
+        reasons.append(by.step(replace(seen, imu=imu)).imu_reason)
+    for index, reason in enumerate(reasons[1:], 1):
+        assert reason is not None
+        assert reason.fault is (ImuFault.TESTING if index % 4 else ImuFault.NO_SAMPLES)
+
+
+def test_a_step_that_the_images_do_not_show_tests_no_imu() -> None:
+    frames, _ = drive_of(38, 6)
+    by = odometry()
+    for frame in frames:
+        seen = blind_frame(frame.index) if frame.index == 5 else frame
+        estimate = by.step(replace(seen, imu=frame.imu))
+    assert estimate.imu_reason == UNTESTED_STEP
 
 
 def test_samples_that_end_are_said_for_as_long_as_they_are_missed() -> None:

@@ -410,7 +410,8 @@ class WindowEstimator:
         T_curr_last = extended.T_cam_world[-1] @ se3.inverse(extended.T_cam_world[-2])
         step = RelativePose(T_curr_last, motion.covariance, curr=motion.curr, prev=last)
         begun = with_new_pose(window.restarted(), motion.curr.frame, T_curr_last, prev=0)
-        return self.adjustment.adjusted(with_dead_reckoning(begun, [step]))
+        adjusted = self.adjustment.adjusted(with_dead_reckoning(begun, [step]))
+        return inertial_steps.with_reason_to_wait(adjusted, self._most_frames)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
@@ -443,6 +444,7 @@ class WindowEstimator:
         """
         window = replace(window, marginalized=())
         window = inertial_steps.exclude_if_untestable(window, self._most_frames)
+        window = inertial_steps.with_reason_to_wait(window, self._most_frames)
         limit = self._config.frames
         if not window.inertial.is_used:
             leaving = window.is_blind.copy()
