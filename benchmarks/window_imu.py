@@ -26,6 +26,7 @@ import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3, so3
+from probevo.measurements.imu_reason import ImuFault
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -89,8 +90,9 @@ def run(
         estimate = odometry.step(frame if imu is not None else replace(frame, imu=None))
         num_ok += estimate.status is pv.Status.OK
         said |= dict.fromkeys(text for text in map(str, estimate.missing) if "IMU" in text)
-        if estimate.imu_left_out:
-            said[f"the IMU {estimate.imu_left_out}"] = None
+        reason = estimate.imu_reason
+        if reason is not None and reason.fault is not ImuFault.TESTING:
+            said[f"the IMU {reason.text}"] = None
         poses.append(estimate.T_world_cam)
         sigma.append(np.sqrt(np.diag(estimate.cov_cam_world)))
         window = odometry.window

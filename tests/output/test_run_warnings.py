@@ -17,6 +17,7 @@ from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
 from probevo.measurements.imu_reason import ImuFault, ImuReason
 from probevo.measurements.sensor import NoMeasurement
+from probevo.output.run_facts import unused_imu_text
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.output.run_warnings import (
     camera_warning,
@@ -301,7 +302,7 @@ def test_where_the_shutter_rolls_the_imu_may_be_right() -> None:
     assert "shutter" not in usual
 
 
-@pytest.mark.parametrize("fault", ImuFault)
+@pytest.mark.parametrize("fault", [fault for fault in ImuFault if fault is not ImuFault.TESTING])
 def test_a_calibration_is_not_blamed_for_what_the_samples_are_like(fault: ImuFault) -> None:
     said = imu_warning("is at fault", fault)
     assert said is not None
@@ -311,8 +312,8 @@ def test_a_calibration_is_not_blamed_for_what_the_samples_are_like(fault: ImuFau
 NO_SAMPLES = ImuReason(ImuFault.NO_SAMPLES, "has no samples")
 
 
-def _imu_said(reasons: list[ImuReason | None], first_used: int | None = None) -> str:
-    """Return the warning of a run whose steps said why the IMU was not used, where they did; from
+def _recorded(reasons: list[ImuReason | None], first_used: int | None = None) -> RunRecorder:
+    """Return the record of a run whose steps said why the IMU was not used, where they did; from
     one step on, it was in the window where they did not."""
     recorder = RunRecorder()
     for frame, reason in enumerate([None, *reasons]):
@@ -321,7 +322,12 @@ def _imu_said(reasons: list[ImuReason | None], first_used: int | None = None) ->
         )
         is_used = first_used is not None and frame >= first_used and reason is None
         recorder.add(frame, motion, imu_is_in_window=is_used)
-    return run_warnings(recorder.result()).get("IMU", "")
+    return recorder
+
+
+def _imu_said(reasons: list[ImuReason | None], first_used: int | None = None) -> str:
+    """Return the warning of such a run."""
+    return run_warnings(_recorded(reasons, first_used).result()).get("IMU", "")
 
 
 def test_the_reason_of_most_steps_is_named() -> None:
@@ -345,6 +351,19 @@ def test_an_imu_that_ends_is_said_to_be_unused_from_then_on() -> None:
     assert said == "The IMU has no samples. From frame 9 on, the path is by images alone."
     assert _imu_said([*reasons, None], first_used=3) == ""
     assert _imu_said([None] * 4) == ""
+
+
+def test_the_test_of_an_imu_is_no_cause_for_a_warning() -> None:
+    testing = ImuReason(ImuFault.TESTING, "is being tested: its samples connect 4 of the 6 frames")
+    recorder = _recorded([*[testing] * 5, None, None], first_used=6)
+    assert "IMU" not in run_warnings(recorder.result())
+    assert unused_imu_text(recorder.result()) == ""
+    assert _imu_said([*[testing] * 4, NO_SAMPLES, testing]).startswith("The IMU has no samples.")
+    recorder = _recorded([testing] * 4)
+    result = recorder.result()
+    assert result.imu_left_out == testing.text
+    assert "IMU" not in run_warnings(result)
+    assert unused_imu_text(result) == "not used in 4 of 4 steps (4 being tested)"
 
 
 def test_images_that_repeat_are_counted() -> None:

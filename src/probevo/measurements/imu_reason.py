@@ -31,6 +31,9 @@ class ImuFault(Enum):
     INTEGRAL_NOT_FINITE = "integral_not_finite"
     """Their sum overflows."""
     # The test before its use.
+    TESTING = "being_tested"
+    """It has not been tested yet, or the test would show nothing yet, as in the first steps of any
+    run."""
     NO_FINITE_RESIDUAL = "no_finite_residual"
     """The fit to the poses of the images overflows."""
     CONTRADICTION = "contradiction"

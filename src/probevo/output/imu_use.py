@@ -37,10 +37,17 @@ class ImuUse:
     @property
     def left_out(self) -> ImuReason | None:
         """Most frequent reason since the IMU was last used; None if it was used to the end, or
-        there is none."""
+        there is none. That it is being tested counts only where nothing else was wrong."""
         if not self._is_left_out:
             return None
-        return self._reasons[self._counts.most_common(1)[0][0]]
+        faults = [fault for fault, _ in self._counts.most_common() if fault is not ImuFault.TESTING]
+        return self._reasons[faults[0] if faults else ImuFault.TESTING]
+
+    @property
+    def num_tested(self) -> int:
+        """Number of steps since the IMU was last used in which it was being tested; 0 if it was
+        used to the end."""
+        return self._counts[ImuFault.TESTING] if self._is_left_out else 0
 
     @property
     def unused_from(self) -> int | None:

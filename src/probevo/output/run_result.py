@@ -53,7 +53,7 @@ _RECORD = np.dtype(
 −1 features out of domain stand for None."""
 STEPS_WITHOUT_IMU = "steps_without_imu"
 """Name of the steps without an IMU in ``RunResult.unusable``; with the fault behind it, of those
-that it caused."""
+that it caused. Steps of a test that the IMU passed later do not count."""
 STEPS_WITHOUT_IMU_BY_FAULT = tuple(f"{STEPS_WITHOUT_IMU}_{fault.value}" for fault in ImuFault)
 """Names of the steps without an IMU by the fault that caused them: what they sum up to is counted
 as ``STEPS_WITHOUT_IMU``, too."""
@@ -399,7 +399,7 @@ class RunRecorder:
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
         self._imu.add(index, motion.imu_reason, is_in_window=imu_is_in_window)
-        if motion.imu_reason is not None:
+        if motion.imu_reason is not None and motion.imu_reason.fault is not ImuFault.TESTING:
             self._unusable[STEPS_WITHOUT_IMU] += 1
             self._unusable[f"{STEPS_WITHOUT_IMU}_{motion.imu_reason.fault.value}"] += 1
         for missing in motion.missing:
@@ -444,6 +444,10 @@ class RunRecorder:
             cov_cam_world = frames["cov_cam_world"].copy()
         num_outside = motions["num_out_of_domain"]
         left_out = self._imu.left_out
+        unusable = self._unusable.copy()
+        if self._imu.num_tested:
+            unusable[STEPS_WITHOUT_IMU] += self._imu.num_tested
+            unusable[f"{STEPS_WITHOUT_IMU}_{ImuFault.TESTING.value}"] += self._imu.num_tested
         return RunResult(
             stamps_ns=frames["stamp_ns"].copy(),
             T_world_cam=T_world_cam,
@@ -460,7 +464,7 @@ class RunRecorder:
             },
             total_ms=motions["total_ms"].copy(),
             rejected=dict(self._rejected),
-            unusable=dict(self._unusable),
+            unusable=dict(unusable),
             sensors=dict(self._sensors),
             imu_left_out=None if left_out is None else left_out.text,
             imu_fault=None if left_out is None else left_out.fault,

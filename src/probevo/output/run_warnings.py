@@ -276,7 +276,8 @@ def imu_warning(
     *,
     shutter_rolls: bool = False,
 ) -> str | None:
-    """Warn if the window left out the IMU at the end of the run; else None.
+    """Warn if the window left out the IMU at the end of the run, unless nothing was wrong with it,
+    as in a run that ends before it is tested; else None.
 
     Args:
         reason: why, a phrase that continues "the IMU …".
@@ -284,7 +285,7 @@ def imu_warning(
         unused_from: index of the first frame after it was last used; None if it never was.
         shutter_rolls: whether the readout of a rolling shutter was corrected.
     """
-    if not reason:
+    if not reason or fault is ImuFault.TESTING:
         return None
     start = "The" if unused_from is None else f"From frame {unused_from} on, the"
     text = f"The IMU {reason}. {start} path is by images alone."

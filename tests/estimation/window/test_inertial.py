@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import inertial_worlds
 import worlds
@@ -31,7 +32,10 @@ from probevo.estimation.window.inertial_states import (
 )
 from probevo.estimation.window.inertial_steps import (
     NO_SOLUTION,
+    UNKNOWN_GRAVITY,
     UNTESTABLE,
+    UNTESTED_STEP,
+    _motions_by_imu_only,
     initialize_states,
     preintegrate_samples,
     system_of,
@@ -40,8 +44,10 @@ from probevo.estimation.window.inertial_steps import (
 from probevo.estimation.window.marginalization import without_blind
 from probevo.estimation.window.window import Window
 from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import squared_mahalanobis
 from probevo.measurements.imu_reason import ImuFault
 from probevo.measurements.preintegration import Preintegration
+from probevo.measurements.variables import pose_of
 from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
@@ -405,6 +411,43 @@ def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
     assert steps[-1] < 1.2 * steps[17 - 4]
 
 
+def test_a_blackout_before_the_imu_is_used_makes_its_states_no_more_certain() -> None:
+    """Once it is used, it turns what was dead-reckoned in the dark to where it is, and only there
+    does it show velocities and the errors of its calibration."""
+    dark = range(3, 6)
+    squared = []
+    for seed in range(3):
+        rng = np.random.default_rng([71, seed])
+        path = SmoothPath.drawn(rng, speed_m_s=1.5)
+        path = replace(path, amplitude_rad=3.0 * path.amplitude_rad)
+        frames, _ = inertial_drive(rng, 11, path, points=60, sigma_px=SIGMA_PX)
+        by = odometry()
+        for frame in frames:
+            seen = blind_frame(frame.index) if frame.index in dark else frame
+            by.step(replace(seen, imu=frame.imu))
+        assert by.window is not None
+        assert set(dark) <= set(by.window.frames.tolist())
+        states = states_of(by.window)
+        around_s = 1e-9 * FRAME_NS * frames[-1].index + np.array([-1e-4, 1e-4])
+        lever_m = CALIBRATION.T_cam_imu[:3, 3]
+        places = path.position(around_s) + path.rotation(around_s) @ lever_m
+        velocity_error = (places[1] - places[0]) / 2e-4 - states.velocity[-1]
+        velocity = slice(COMMON + STATE * (len(by.window) - 1), None)
+        velocity_cov = states.cov[velocity, velocity][:3, :3]
+        calibration = slice(GRAVITY_DIMENSIONS, COMMON)
+        squared.append(
+            [
+                squared_mahalanobis(velocity_error, velocity_cov),
+                squared_mahalanobis(
+                    states.calibration_errors, states.cov[calibration, calibration]
+                ),
+            ]
+        )
+    of_velocity, of_calibration = np.sum(squared, axis=0)
+    assert of_velocity < chi2.ppf(0.999, 3 * 3)
+    assert of_calibration < chi2.ppf(0.999, 3 * 9)
+
+
 def test_a_factor_beyond_the_gate_leaves_the_velocity_known() -> None:
     """The images refute the samples before the last bright frame. The blackout after it is bridged
     nevertheless, within 3σ; without a velocity, σ would be 0.66 m."""
@@ -640,6 +683,7 @@ def test_an_imu_waits_until_the_direction_of_gravity_is_known(
         motion = odometry.step(frame)
         alone = images.step(replace(frame, imu=None))
     assert Inertial.of(odometry.window).status is ImuStatus.WAITING
+    assert motion.imu_reason == UNKNOWN_GRAVITY
     np.testing.assert_array_equal(motion.T_world_cam, alone.T_world_cam)
 
 
@@ -732,6 +776,33 @@ def test_an_accelerometer_that_starts_late_is_used() -> None:
     assert Inertial.of(by.window).is_used
 
 
+def test_an_imu_that_is_being_tested_says_how_far_it_is() -> None:
+    """Where every fourth interval has no samples, for the whole drive."""
+    frames, _ = drive_of(37, 12)
+    by = odometry()
+    said = [by.step(frame).imu_left_out for frame in frames]
+    connected = "is being tested: its samples connect {} of the 6 frames it takes"
+    assert said == ["", *[connected.format(count) for count in range(2, 6)], *[""] * 7]
+    by = odometry()
+    reasons = []
+    for frame in frames:
+        imu = None if frame.index % 4 == 0 else frame.imu
+        seen = blind_frame(frame.index) if frame.index == 10 else frame
+        reasons.append(by.step(replace(seen, imu=imu)).imu_reason)
+    for index, reason in enumerate(reasons[1:], 1):
+        assert reason is not None
+        assert reason.fault is (ImuFault.TESTING if index % 4 else ImuFault.NO_SAMPLES)
+
+
+def test_a_step_that_the_images_do_not_show_tests_no_imu() -> None:
+    frames, _ = drive_of(38, 6)
+    by = odometry()
+    for frame in frames:
+        seen = blind_frame(frame.index) if frame.index == 5 else frame
+        estimate = by.step(replace(seen, imu=frame.imu))
+    assert estimate.imu_reason == UNTESTED_STEP
+
+
 def test_samples_that_end_are_said_for_as_long_as_they_are_missed() -> None:
     """Also once no interval of the window has any."""
     frames, _ = drive_of(44, 24)
@@ -762,6 +833,19 @@ def test_what_the_test_at_the_start_shows_of_the_noise_counts_for_the_factors_it
     assert used.noise_factor > 1.1
     for factor, tested in zip(before, factors_of(by.window), strict=False):
         np.testing.assert_allclose(tested.cov, used.noise_factor * factor.cov)
+
+
+def test_frames_that_are_dead_reckoned_are_not_connected_by_an_imu_that_is_left_out() -> None:
+    frames, _ = drive_of(43, 8)
+    by = odometry()
+    for frame in frames:
+        seen = blind_frame(frame.index) if frame.index in (3, 4) else frame
+        by.step(replace(seen, imu=frame.imu))
+    assert by.window is not None
+    assert by.window.inertial.is_used
+    # Frames 3 and 4 are dead-reckoned from frame 2 each, and frame 5 has found its landmarks again.
+    pairs = [motion.variables for motion in _motions_by_imu_only(by.window, 1.0)]
+    assert pairs == [(pose_of(3), pose_of(4)), (pose_of(4), pose_of(5))]
 
 
 def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:

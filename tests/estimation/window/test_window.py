@@ -17,7 +17,11 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window.adjustment import WindowAdjustment
 from probevo.estimation.window.equations import JITTER, LENS, POSE, RIG
 from probevo.estimation.window.estimator import WindowEstimator
-from probevo.estimation.window.further_measurements import with_measurements
+from probevo.estimation.window.further_measurements import (
+    with_dead_reckoning,
+    with_dead_reckoning_in_prior,
+    with_measurements,
+)
 from probevo.estimation.window.live_motion import live_motion
 from probevo.estimation.window.marginalization import (
     MIN_POSITION_INFORMATION,
@@ -933,6 +937,35 @@ def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions()
     cov = difference @ np.linalg.inv(of_poses) @ difference.T
     np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)
     assert kept_positive(prior) is prior
+
+
+def test_dead_reckoning_is_linearised_where_the_poses_are_until_a_frame_of_it_leaves() -> None:
+    """A precise motion turns dead-reckoned frames by a radian. What is said of them is what would
+    be said had they been there from the start."""
+    frames = drive(np.random.default_rng(67), 4, points=60, sigma_px=SIGMA_PX)
+    by = estimator(frames=9, iterations=10)
+    seen = windows_of(frames, by)[-1]
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.3, 1.0, -0.2])) @ FORWARD
+    known = RelativePose(turned, 1e-8 * np.eye(6), pose_of(4), pose_of(3))
+    windows = []
+    for guess in (FORWARD, turned):
+        window = by.extend(seen, 4, guess, Tracks.none(), noise_of(0))
+        window = with_dead_reckoning(window, [step_to(4, FORWARD), known])
+        windows.append(by.adjustment.adjusted(window))
+    adjusted, expected = windows
+    np.testing.assert_allclose(adjusted.T_cam_world, expected.T_cam_world, atol=1e-6)
+    np.testing.assert_array_equal(adjusted.T_linear[4], adjusted.T_cam_world[4])
+    np.testing.assert_allclose(adjusted.cov, expected.cov, rtol=1e-4, atol=1e-12)
+    # In the prior, it says the same where the poses are.
+    leaving = np.arange(5) == 4
+    fixed = with_dead_reckoning_in_prior(adjusted, leaving)
+    assert not fixed.dead_reckoning
+    assert with_dead_reckoning_in_prior(adjusted, np.arange(5) == 0).dead_reckoning
+    before = by.adjustment._system(adjusted).equations
+    after = by.adjustment._system(fixed).equations
+    scale = np.abs(before.hessian).max()
+    np.testing.assert_allclose(after.hessian, before.hessian, atol=1e-12 * scale)
+    np.testing.assert_allclose(after.gradient, before.gradient, atol=1e-12 * scale)
 
 
 def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them() -> None:

@@ -45,6 +45,10 @@ from probevo.estimation.window.equations import (
     WindowGeometry,
     WindowLandmarks,
 )
+from probevo.estimation.window.further_measurements import (
+    linearized_measurements,
+    with_dead_reckoning_in_prior,
+)
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.inertial_equations import InertialSystem
 from probevo.estimation.window.jitter_elimination import (
@@ -174,6 +178,8 @@ class WindowAdjustment:
         does in a chain of motions of two frames. Without it, nothing would connect the last two
         frames where all landmarks are of one age.
         """
+        is_first = np.arange(len(window)) == 0
+        window = with_dead_reckoning_in_prior(window, is_first)
         observations = window.observations
         rows = window.landmark_rows
         # Which landmarks leave, and which of them begin anew.
@@ -187,14 +193,15 @@ class WindowAdjustment:
         # frame's observations of one age have the same anchor frame, and so leave at the same time.
         seen_at_age = np.bincount(window.age, minlength=1)
         groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
-        # The normal equations of these landmarks and the prior alone, without the IMU, whose first
-        # factor is marginalised with them below.
+        # The normal equations of these landmarks and the prior alone, without the dead reckoning of
+        # other frames, and without the IMU, whose first factor is marginalised with them below.
         system = self._system(
             replace(
                 window,
                 observations=selected(observations, is_old[rows]),
                 landmarks=_selected_landmarks(window.landmarks, is_old),
                 jitter_cov=groups * window.jitter_cov,
+                dead_reckoning=(),
                 inertial=Inertial.none(),
             )
         )
@@ -204,7 +211,6 @@ class WindowAdjustment:
         vector = system.equations.gradient + information @ window.offsets()
         # With inertial states, pose, velocity and biases of the frame are marginalised in one
         # block: the IMU's factor correlates them.
-        is_first = np.arange(len(window)) == 0
         remaining = window.without_frames(is_first)
         marginalised = inertial_steps.marginalize_first_frame(window, system.equations)
         if marginalised is None:
@@ -243,7 +249,7 @@ class WindowAdjustment:
         )
 
     def _system(self, window: Window) -> _System:
-        """Form the normal equations of a window, its prior included."""
+        """Form the normal equations of a window, its prior and dead reckoning included."""
         num_frames = len(window)
         size = FRAME * num_frames + RIG
         num_observations = len(window.observations.slot)
@@ -273,6 +279,10 @@ class WindowAdjustment:
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
         hessian = reduced.hessian + window.prior.information
         gradient = reduced.gradient + towards_prior
+        for joint, linear in linearized_measurements(window, window.dead_reckoning):
+            cost += linear.cost
+            hessian[np.ix_(joint, joint)] += linear.hessian
+            gradient[joint] += linear.gradient
         inertial_system = inertial_steps.system_of(window)
         if inertial_system is not None:  # its velocities, biases and gravity are eliminated, too
             imu_hessian, imu_gradient = inertial_system.reduced()

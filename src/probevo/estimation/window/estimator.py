@@ -30,6 +30,7 @@ from probevo.estimation.window import inertial_steps
 from probevo.estimation.window.adjustment import WindowAdjustment
 from probevo.estimation.window.further_measurements import (
     reweighted_and_combined,
+    with_dead_reckoning,
     with_measurements,
 )
 from probevo.estimation.window.marginalization import without_blind
@@ -308,10 +309,10 @@ class WindowEstimator:
         frame = known.curr.frame
         try:
             extended = self.extend(window, frame, T_curr_prev, tracks, noise, prev=prev)
-            counted = list(measurements)
+            measured = with_measurements(extended, measurements)
             if not extended.inertial.bridges_newest:
-                counted.append(known)
-            adjusted = self.adjustment.adjusted(with_measurements(extended, counted))
+                measured = with_dead_reckoning(measured, [known])
+            adjusted = self.adjustment.adjusted(measured)
         except np.linalg.LinAlgError:
             return None
         _, cov = adjusted.relative(len(adjusted) - 1, prev)
@@ -376,7 +377,7 @@ class WindowEstimator:
                 measurements = [*measurements, *motion_measurements]
             else:
                 measurements = [*measurements, velocity or _bounded(motion)]
-        measured = with_measurements(extended, measurements)
+        measured = with_dead_reckoning(extended, measurements)
         try:
             adjusted = self.adjustment.adjusted(measured)
             if np.isfinite(adjusted.cov).all() or not window.inertial.is_used:
@@ -409,7 +410,8 @@ class WindowEstimator:
         T_curr_last = extended.T_cam_world[-1] @ se3.inverse(extended.T_cam_world[-2])
         step = RelativePose(T_curr_last, motion.covariance, curr=motion.curr, prev=last)
         begun = with_new_pose(window.restarted(), motion.curr.frame, T_curr_last, prev=0)
-        return self.adjustment.adjusted(with_measurements(begun, [step]))
+        adjusted = self.adjustment.adjusted(with_dead_reckoning(begun, [step]))
+        return inertial_steps.with_reason_to_wait(adjusted, self._most_frames)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
@@ -442,6 +444,7 @@ class WindowEstimator:
         """
         window = replace(window, marginalized=())
         window = inertial_steps.exclude_if_untestable(window, self._most_frames)
+        window = inertial_steps.with_reason_to_wait(window, self._most_frames)
         limit = self._config.frames
         if not window.inertial.is_used:
             leaving = window.is_blind.copy()

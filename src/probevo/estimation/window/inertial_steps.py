@@ -74,6 +74,14 @@ UNTESTABLE = ImuReason(
     "cannot be tested: the covariance of the poses is too large to be accurate",
 )
 """Why an IMU is not used where its factors are lost in rounding."""
+UNKNOWN_GRAVITY = ImuReason(
+    ImuFault.TESTING, "is being tested: gravity is not yet known well enough"
+)
+"""Why an IMU is not used whose test any direction of gravity would pass."""
+UNTESTED_STEP = ImuReason(
+    ImuFault.TESTING, "is being tested, which takes a step that the images show"
+)
+"""Why an IMU is not tested in a step that is dead-reckoned, or a part of it."""
 UNKNOWN_VELOCITY = ImuReason(ImuFault.UNKNOWN_VELOCITY, "does not know its velocity in this step")
 """Why an IMU is not used where the motion is known better by other means."""
 
@@ -115,7 +123,8 @@ def initialize_states(window: Window, most_frames: int = FRAMES_AT_START) -> Win
         # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
         return replace(window, inertial=replace(inertial, reason=UNTESTABLE))
     if fit.gravity_sigma_m_s2 > MAX_GRAVITY_SIGMA_M_S2:
-        return window  # it fits any direction of gravity: wait for more frames
+        # It fits any direction of gravity: wait for more frames.
+        return replace(window, inertial=replace(inertial, reason=UNKNOWN_GRAVITY))
     reason = fit.reason_against(MAX_EXCESS)
     if reason is None:
         states = with_gravity_of_known_length(fit.states)
@@ -132,6 +141,28 @@ def initialize_states(window: Window, most_frames: int = FRAMES_AT_START) -> Win
     if attempts >= MAX_ATTEMPTS:
         return without_imu(window, reason.for_good())
     return replace(window, inertial=replace(inertial, attempts=attempts, reason=reason))
+
+
+def with_reason_to_wait(window: Window, most_frames: int) -> Window:
+    """Return the window whose IMU says why it is still being tested, if nothing was wrong with it
+    in the last step.
+
+    Args:
+        window: K frames.
+        most_frames: of the window at any time, the new one included.
+    """
+    inertial = window.inertial
+    if inertial.is_used or inertial.reason is not None:
+        return window
+    if not inertial.factors or inertial.factors[-1] is None:
+        return window  # there is no IMU, or a gyro alone, of which nobody expects more
+    reason = UNTESTED_STEP
+    covered = len(window) - inertial.first_covered
+    needed = min(FRAMES_AT_START, most_frames)
+    if covered < needed:
+        text = f"is being tested: its samples connect {covered} of the {needed} frames it takes"
+        reason = ImuReason(ImuFault.TESTING, text)
+    return replace(window, inertial=replace(inertial, reason=reason))
 
 
 def preintegrate_samples(window: Window, prev: Frame, frame: Frame) -> Window:
@@ -362,8 +393,11 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
     for slot in range(1, len(window)):
         here = window.pose_slice(slot)
         before = window.pose_slice(slot - 1)
-        # Landmarks in common, or an off-diagonal block of the prior, connect the two already.
+        # Landmarks in common, an off-diagonal block of the prior, or dead reckoning connect the two
+        # already.
         if window.has_common_landmarks(slot) or window.prior.information[here, before].any():
+            continue
+        if _is_dead_reckoned(window, slot):
             continue
         T_curr_prev, cov = window.relative(slot, slot - 1)
         motions.append(
@@ -375,3 +409,9 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
             )
         )
     return motions
+
+
+def _is_dead_reckoned(window: Window, slot: int) -> bool:
+    """Return whether dead reckoning connects the frame in a slot with the one before it."""
+    pair = {pose_of(int(window.frames[slot])), pose_of(int(window.frames[slot - 1]))}
+    return any(pair <= set(measurement.variables) for measurement in window.dead_reckoning)

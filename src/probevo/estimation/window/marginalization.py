@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.estimation.window.equations import POSE, RIG
+from probevo.estimation.window.further_measurements import with_dead_reckoning_in_prior
 from probevo.estimation.window.window import MarginalPrior, Window, is_of_poses
 
 MIN_SHARE = 1e-14
@@ -150,9 +151,10 @@ def without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
 
 
 def without_blind(window: Window, leaving: BoolArray) -> Window:
-    """Marginalise blind frames, [K], which nothing but the prior connects with others."""
+    """Marginalise blind frames, [K], which only prior and dead reckoning connect with others."""
     if not leaving.any():
         return window
+    window = with_dead_reckoning_in_prior(window, leaving)
     # No observation is of a blind frame, so that only the prior has to be marginalised. The places
     # of later frames move up.
     num_before = np.cumsum(leaving)

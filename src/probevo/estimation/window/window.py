@@ -24,6 +24,7 @@ from probevo.estimation.window.equations import (
 )
 from probevo.estimation.window.inertial import Inertial
 from probevo.geometry import se3
+from probevo.measurements.base import Measurement
 from probevo.measurements.variables import Values, pose_of
 
 RIGID_SIGMA_RAD = 1e-9
@@ -87,6 +88,10 @@ class Window:
     calibration_effect: CalibrationEffect
     """How errors of the calibration that the window does not estimate move its poses
     (Schmidt's consider term). ``cov`` is without it."""
+    dead_reckoning: tuple[Measurement, ...] = ()
+    """Measurements that stand in for features, of which each is linearised anew until a frame of it
+    leaves the window: what is dead-reckoned may be off by tens of degrees, and turn once an IMU is
+    used. They are not in the prior."""
     marginalized: tuple[SmoothedPose, ...] = ()
     """The poses that have left the window in the last step."""
     inertial: Inertial = field(default_factory=Inertial.none)
@@ -267,8 +272,8 @@ class Window:
     def without_frames(self, leaving: BoolArray) -> Window:
         """Return the window without the poses of some frames, [K], which it lists as marginalised.
 
-        Prior, landmarks, observations and the states of the IMU stay as they are: whoever calls
-        this marginalises them.
+        Prior, dead reckoning, landmarks, observations and the states of the IMU stay as they are:
+        whoever calls this marginalises them.
         """
         stays = ~leaving
         kept = ~is_of_poses(leaving)
