@@ -176,11 +176,10 @@ def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
     for _ in range(FIT_ITERATIONS):
         # Weighted least squares: the normal equations.
         weighted = design * weights[:, None]
-        inverse = np.linalg.pinv(weighted.T @ design)
+        inverse = np.asarray(np.linalg.pinv(weighted.T @ design), dtype=np.float64)
         coefficients = inverse @ (weighted.T @ values)
         residuals = values - design @ coefficients
         # Cauchy's weight 1/(1 + (r/c)²), with c twice the standard deviation by the median of |r|.
         sigma = max(NORMAL_PER_MEDIAN * float(np.median(np.abs(residuals))), LEAST_SIGMA_PX)
         weights = 1.0 / (1.0 + (residuals / (2.0 * sigma)) ** 2)
-    covariance: FloatArray = OVERLAP * sigma**2 * inverse
-    return coefficients, covariance
+    return coefficients, OVERLAP * sigma**2 * inverse
