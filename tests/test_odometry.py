@@ -490,6 +490,30 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     assert motions[11].status is OK
 
 
+def test_frozen_images_with_noise_are_bridged(tmp_path: Path) -> None:
+    """For as long as the camera can hardly have come to rest since the last image before them."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 12))
+    frames = [replace(frame, stamp_ns=20_000_000 * frame.index) for frame in sequence]
+    rng = np.random.default_rng(0)
+
+    def again(image: Image | None) -> Image:
+        assert image is not None
+        noise = rng.integers(-1, 2, image.shape)
+        return np.clip(image.astype(int) + noise, 0, 255).astype(np.uint8)
+
+    for k in (6, 7, 8):
+        left = again(frames[5].left)
+        frames[k] = replace(frames[k], left=left, right=again(frames[5].right))
+    odometry = pv.StereoOdometry(sequence.camera)
+    motions = [odometry.step(frame) for frame in frames]
+    assert {motion.status for motion in motions[6:9]} == {pv.Status.TOO_FEW_TRACKS}
+    assert {motion.missing for motion in motions[6:9]} == {
+        (MissingData(Defect.REPEATED_IMAGES, 1, 1),)
+    }
+    assert motions[9].status is pv.Status.RECOVERED
+    assert {motion.status for motion in motions[10:]} == {OK}
+
+
 @pytest.mark.parametrize("sigma", [0.0, 1.5], ids=["the same bytes", "compressed anew"])
 @pytest.mark.parametrize("estimator", ["two-frame", "window"])
 def test_a_video_whose_frames_were_doubled_has_the_same_path(

@@ -270,9 +270,7 @@ class StereoOdometry:
         state = prediction.state
         frame = prediction.frame
         model = state.motion_model
-        repetition = repetition_of(
-            state.frame, frame, model, prediction.motion, were_frozen=state.is_frozen
-        )
+        repetition = repetition_of(state.frame, frame, model, prediction.shown, self.camera)
         if repetition is Repetition.FROZEN:
             # The camera moves but its images do not change. Tracking them would measure a motion of
             # zero with great confidence, so there are no tracks.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from probevo.arrays import FloatArray
+from probevo.estimation.frozen_images import Shown
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.recovery import MAX_DURATION_S, Recovery, span_factor
@@ -63,6 +64,22 @@ class Prediction:
                 self.gyro, C_curr_prev, solution.cov[3:, 3:]
             )
         return self.gyro_bias.updated_by_independent_solve(self.gyro, C_curr_prev, cov[3:, 3:])
+
+    @property
+    def shown(self) -> Shown:
+        """The frame that the images may show again: the previous one, or, if its images were
+        frozen, the last usable one."""
+        state = self.state
+        outage = state.outage
+        if not state.is_frozen or outage is None or not outage.lasts:
+            return Shown(state.frame, state.tracking, self.motion, is_frozen=state.is_frozen)
+        sensitivity = state.motion_model.path_sensitivity
+        return Shown(
+            outage.before.frame,
+            outage.before.tracking,
+            outage.path.predicted(self.motion, sensitivity),
+            is_frozen=True,
+        )
 
     def from_last_usable(self) -> tuple[Prediction, Recovery] | None:
         """Predict the motion from the last usable frame, where features may be found again

@@ -373,6 +373,29 @@ def test_an_image_on_both_sides_is_refused(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("is_interlaced", [False, True])
+def test_interlaced_images_are_warned_of(
+    is_interlaced: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_strips(tmp_path / "strips", 14)
+    if is_interlaced:
+        for side in ("left", "right"):
+            paths = sorted((recording / side).iterdir())
+            images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
+            for path, before, image in zip(paths[3:], images, images[3:], strict=False):
+                assert before is not None
+                assert image is not None
+                image = image.copy()
+                image[1::2] = before[1::2]
+                write_image(path, image)
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
+    said = "Rows of the images are of two times"
+    assert (said in capsys.readouterr().err) == is_interlaced
+    assert read_motions(tmp_path / "out").is_interlaced == is_interlaced
+    assert main(["info", str(recording)]) == 0
+    assert ("! interlacing" in capsys.readouterr().out) == is_interlaced
+
+
 @pytest.mark.parametrize("late", [0, 1])
 def test_right_images_of_other_frames_are_warned_of(
     late: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

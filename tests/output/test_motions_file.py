@@ -27,6 +27,7 @@ def test_a_run_comes_back_as_it_was(
     run = replace(make_run(count, outside=outside), unusable={"imu_samples_too_large": 3})
     if outside is not None:
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
+        run = replace(run, is_interlaced=True)
         run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
         run = replace(run, fixed_features=FixedFeatures(900, 30, (300.5, 400.0), (50.0, 9.5)))
         run = replace(run, steps_at_rest=StepsAtRest(29, 20, 900, 90))

@@ -3,9 +3,11 @@
 from itertools import islice
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from probevo.arrays import Image
 from probevo.config import TrackingConfig
 from probevo.sequences import Frame, open_sequence
 from probevo.sequences.frame import StereoFeatures
@@ -15,7 +17,7 @@ from probevo.tracking.pair_timing import (
     MIN_VOTES,
     OFFSETS,
     PairTiming,
-    row_scatter,
+    match_rows,
 )
 from probevo.tracking.preparation import prepare_images
 from strips import FRAME_NS, strip_pairs
@@ -58,6 +60,30 @@ def test_a_camera_that_stays_at_rest_is_looked_at_for_a_while_only() -> None:
     assert timing.right_late_frames == 0
 
 
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_camera_that_moves_along_its_baseline_moves_no_rows(frames: int) -> None:
+    """Its left image shows again what the right one has shown one or two frames before, and hardly
+    any match is as good as theirs."""
+    rng = np.random.default_rng(3)
+    smooth = cv2.GaussianBlur(rng.uniform(0, 255, (160, 800)), (0, 0), 1.5)
+    scene = np.clip(128.0 + 4.0 * (smooth - smooth.mean()), 0, 255).astype(np.float32)
+    u, v = np.meshgrid(np.arange(320.0), np.arange(160.0))
+    ground_px = 4.0 + 0.1 * v  # disparity of a plane below the camera
+
+    def seen(baselines: float) -> Image:
+        """Return what is seen so many baselines along, with noise."""
+        columns = (u + 100.0 + baselines * ground_px).astype(np.float32)
+        image = cv2.remap(scene, columns, v.astype(np.float32), cv2.INTER_LINEAR)
+        noisy = image + rng.normal(0.0, 1.0, image.shape)
+        return np.clip(noisy, 0, 255).astype(np.uint8)
+
+    along = [
+        Frame(k, k * FRAME_NS, seen(k / frames), right=seen(k / frames + 1.0))
+        for k in range(ENOUGH_FRAMES)
+    ]
+    assert timing_of(along).right_late_frames == 0
+
+
 def test_frames_without_images_say_nothing() -> None:
     features = StereoFeatures(np.arange(3), np.zeros((3, 4)))
     timing = timing_of([Frame(index=k, stamp_ns=k, features=features) for k in range(30)])
@@ -71,10 +97,10 @@ def test_rows_of_a_pair_agree_but_for_an_affine_map() -> None:
     images = prepare_images(frame, TrackingConfig())
     lower = Frame(index=0, stamp_ns=0, left=frame.left, right=np.roll(frame.right, 3, axis=0))
     for right in (images.right, prepare_images(lower, TrackingConfig()).right):
-        assert row_scatter(images, right, TrackingConfig()) < 0.1
+        assert match_rows(images, right, TrackingConfig()).scatter_px < 0.1
     bare = np.full_like(frame.right, 100)
     empty = prepare_images(Frame(index=0, stamp_ns=0, left=bare, right=bare), TrackingConfig())
-    assert row_scatter(images, empty.right, TrackingConfig()) == np.inf
+    assert match_rows(images, empty.right, TrackingConfig()).scatter_px == np.inf
 
 
 @pytest.mark.data

@@ -307,24 +307,33 @@ def _imu_warnings(sequence: Sequence) -> Rows:
 
 
 def _order_warnings(sequence: Sequence) -> Rows:
-    """Warn of images that repeat, and of right ones that belong to other frames than the left."""
-    from probevo.output.run_warnings import repetition_warning, timing_warning
+    """Warn of images that repeat, of right ones that belong to other frames than the left, and of
+    rows of two times."""
+    from probevo.output.run_warnings import (
+        interlacing_warning,
+        repetition_warning,
+        timing_warning,
+    )
+    from probevo.tracking.interlacing import Interlacing
     from probevo.tracking.pair_timing import PairTiming
     from probevo.tracking.repeated_images import are_repeated, shows_nothing
 
     timing = PairTiming(RunConfig().tracking)
+    interlacing = Interlacing()
     num_frames = 0
     num_repeated = 0
     prev = None
     for frame in islice(sequence, FRAMES_COMPARED):
         if not timing.is_decided:
             timing.add(frame)
+        interlacing.add(frame)
         num_frames += 1
         repeats = prev is not None and are_repeated(prev, frame)
         num_repeated += repeats and not shows_nothing(frame)
         prev = frame
     warnings = {
         "! timing": timing_warning(timing.right_late_frames),
+        "! interlacing": interlacing_warning(interlacing.is_found),
         "! repetition": repetition_warning(num_repeated, num_frames),
     }
     return [(name, text) for name, text in warnings.items() if text]

@@ -124,6 +124,7 @@ _OPTIONAL = {
     "readout_s": _Optional((), float),
     "focal_length": _Optional((2,), lambda array: FocalLengthError(*array.tolist()), astuple),
     "right_late_frames": _Optional((), int),
+    "is_interlaced": _Optional((), bool, int),
     "other_camera": _Optional(None, str),
     "noise_is_learned": _Optional((), bool, int),
     "imu_left_out": _Optional(None, str),

@@ -179,6 +179,8 @@ class RunResult:
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""
+    is_interlaced: bool = False
+    """Whether odd rows of the images are of another time than even ones (``Interlacing``)."""
     other_camera: str | None = None
     """Difference of the camera from the one on which the noise model was trained, in words; None
     if there is none."""

@@ -81,6 +81,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Some steps are not solved": unsolved_warning(result.status),
         "Images repeat": repetition_warning(num_repeated, len(result)),
         "Left and right images of different frames": timing_warning(result.right_late_frames),
+        "Interlaced images": interlacing_warning(result.is_interlaced),
         "Rows of left and right images differ": rows_warning(result),
         "A part of the vehicle in view": fixed_warning(result.fixed_features),
         "At rest in a scene that moves": rest_warning(result.steps_at_rest),
@@ -163,6 +164,17 @@ def timing_warning(right_late_frames: int) -> str | None:
         f"The {late} images are {frames} late: the rows of a left image agree best with those of"
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
         f" their stamps, or leave out {first}."
+    )
+
+
+def interlacing_warning(is_interlaced: bool) -> str | None:
+    """Warn of images whose rows are of two times (``Interlacing``)."""
+    if not is_interlaced:
+        return None
+    return (
+        "Rows of the images are of two times: where the scene moves, a row resembles the next but"
+        " one rather than the next, as in interlaced video. Motions and covariances are wrong. Take"
+        " every second row of both images, from the first one on, and halve f_v and c_v."
     )
 
 

@@ -58,6 +58,7 @@ from probevo.sequences.without_imu import WithoutImu
 from probevo.storage.files import remove_stale, write_atomically, written_together
 from probevo.storage.lock import locked
 from probevo.tracking.fixed_features import FixedFeatureCount
+from probevo.tracking.interlacing import Interlacing
 from probevo.tracking.left_right import IdenticalImagesError, LeftRightCheck, SwappedImagesError
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
@@ -222,6 +223,8 @@ class _Records:
     smoothed: SmoothedPath
     timing: PairTiming
     """Test whether left and right images belong to the same frames."""
+    interlacing: Interlacing
+    """Test whether odd and even rows are of different times."""
     motions_of_images: Rows
     """Motions of the two-frame solves, [N, 4, 4], to compare with the accelerometer."""
     fixed: FixedFeatureCount
@@ -237,6 +240,7 @@ class _Records:
             pictures=_Pictures.spread_over(num_frames),
             smoothed=SmoothedPath(),
             timing=PairTiming(config.tracking),
+            interlacing=Interlacing(),
             motions_of_images=Rows(np.float64, (4, 4)),
             fixed=FixedFeatureCount(sequence.camera),
             heights=GroundHeights(sequence.camera, config.camera_height_m),
@@ -249,6 +253,7 @@ class _Records:
         self.pictures.add(frame, odometry)
         self.smoothed.add(odometry.window)
         self.timing.add(frame)
+        self.interlacing.add(frame)
         self.motions_of_images.add(odometry.T_curr_prev_before_window)
         if motion.status is Status.OK:
             self.fixed.add(
@@ -294,6 +299,7 @@ class _Records:
             smoothed=None if smoothed is None else smoothed.T_world_cam,
             smoothed_cov=None if smoothed is None else smoothed.cov,
             right_late_frames=self.timing.right_late_frames,
+            is_interlaced=self.interlacing.is_found,
             other_camera=other_camera(odometry.noise, sequence.camera),
             noise_is_learned=is_learned(odometry.noise),
             imu_noise_factor=Inertial.of(odometry.window).noise_factor_in_use,

@@ -3,11 +3,15 @@
 A point lies in the same row of both images of a rectified pair. While the camera moves, its row in
 the right image of another frame differs, by an amount that depends on its depth. The right image
 whose rows agree best with the rows of a left image is therefore the one taken at the same time.
+
+Motion along the baseline moves no rows, nor does a motion too slow to see: then all agree, and only
+by noise one of them does best.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +37,12 @@ UNANIMOUS = 0.8
 CLEAR_RATIO = 1.5
 """Factor by which the rows of the best right image agree better than the rows of any other; it is
 less for a camera at rest."""
+MIN_DIFFERENCE_PX = 0.1
+"""Difference of scatters, px, up to which it may be the noise of matching: matches are as good as
+that where left and right look the same, and may be several times as bad where they do not."""
+MIN_DISPARITY_PX = 1.0
+"""Median disparity of the best right image, px, below which it shows what the left one does: a
+camera that moves along its baseline, by its length from frame to frame, takes such images."""
 MIN_MATCHES = 20
 MAX_FORWARD_BACKWARD_PX = 0.5
 """Largest distance between a point and where tracking to the right image and back ends."""
@@ -78,24 +88,30 @@ class PairTiming:
         # The left image of the middle frame against the right ones of all frames around it, in the
         # order of OFFSETS: an offset of +1 is best if the right image came one frame late.
         left = self._last[len(OFFSETS) // 2]
-        scatters = [row_scatter(left, images.right, self._config) for images in self._last]
-        best = _clearly_best(scatters)
+        best = _clearly_best([match_rows(left, each.right, self._config) for each in self._last])
         if best is not None:
             self._votes.append(best)
         if self.is_decided:
             self._last.clear()  # these images are not needed any more
 
 
-def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) -> float:
+class RowMatch(NamedTuple):
+    """How well the rows of a left and a right image agree."""
+
+    scatter_px: float
+    """Median absolute residual of v_r − v_l from an affine map, px; ∞ where hardly a corner is
+    matched."""
+    disparity_px: float
+    """Median absolute disparity, px; 0 where hardly a corner is matched."""
+
+
+def match_rows(images: PreparedImages, right: Pyramid, config: TrackingConfig) -> RowMatch:
     """Measure how far rows of a left and a right image are apart, but for an affine map.
 
     Args:
         images: with the left image and its corners.
         right: pyramid of a right image.
         config: settings of the search.
-
-    Returns:
-        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is matched.
     """
     left_px = images.corners.reshape(-1, 2)
     left_px = left_px[np.isfinite(left_px[:, 0])]
@@ -106,15 +122,25 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
     is_match = np.isfinite(matches.difference) & np.isfinite(back.difference)
     is_match &= forward_backward_px < MAX_FORWARD_BACKWARD_PX
     if is_match.sum() < MIN_MATCHES:
-        return np.inf
-    return _scatter(left_px[is_match], (matches.pixels - left_px)[is_match, 1])
+        return RowMatch(np.inf, disparity_px=0.0)
+    differences_px = (matches.pixels - left_px)[is_match]
+    return RowMatch(
+        scatter_px=_scatter(left_px[is_match], differences_px[:, 1]),
+        disparity_px=float(np.median(np.abs(differences_px[:, 0]))),
+    )
 
 
-def _clearly_best(scatters: list[float]) -> int | None:
-    """Return the offset of the right image whose rows agree best; None if another is as good."""
-    best = int(np.argmin(scatters))
-    others = [scatter for k, scatter in enumerate(scatters) if k != best]
-    if not min(others) > CLEAR_RATIO * scatters[best]:
+def _clearly_best(matches: list[RowMatch]) -> int | None:
+    """Return the offset of the right image whose rows agree best; None if another is as good, or if
+    it may be by chance."""
+    scatters_px = [match.scatter_px for match in matches]
+    best = int(np.argmin(scatters_px))
+    next_px = min(scatter_px for k, scatter_px in enumerate(scatters_px) if k != best)
+    if not next_px > CLEAR_RATIO * scatters_px[best]:
+        return None
+    if next_px - scatters_px[best] < MIN_DIFFERENCE_PX:
+        return None
+    if matches[best].disparity_px < MIN_DISPARITY_PX:
         return None
     return OFFSETS[best]
 
