@@ -5,7 +5,8 @@ import numpy as np
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.self_calibration import CalibratedMotion, SelfCalibratingEstimator
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
+from probevo.estimation.visual_estimator import VisualEstimator
+from probevo.estimation.visual_motion import MotionPriors
 from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from worlds import CAMERA

@@ -285,8 +285,8 @@ STAGES = {
         "probevo.estimation.two_frame", "update_with_latent_errors", content=WITHOUT_WINDOW
     ),
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
-    "solve from two frames": Stage("probevo.estimation.visual_motion", "evaluated_at"),
-    "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
+    "solve from two frames": Stage("probevo.estimation.visual_estimator", "evaluated_at"),
+    "gate": Stage("probevo.estimation.visual_estimator", "evaluate_status"),
     "rig update": Stage("probevo.estimation.self_calibration", "update_rig"),
     "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated_by_joint_solve"),
     "motion model": Stage("probevo.estimation.motion_model:MotionModel", "after_solve"),
@@ -555,7 +555,7 @@ def test_a_gyro_without_any_finite_rate_is_a_gap_of_the_imu() -> None:
     [
         Stage("probevo.predictors:PredictionSpace", "__call__"),
         Stage("probevo.noise:StudentT", "predict"),
-        Stage("probevo.estimation.visual_motion:VisualEstimator", "estimate"),
+        Stage("probevo.estimation.visual_estimator:VisualEstimator", "estimate"),
         Stage("probevo.tracking.observations:ObservationStore", "with_frame"),
     ],
     ids=["predictors", "noise", "estimate", "last line"],

@@ -30,7 +30,8 @@ from probevo.estimation.search_starts import rotated_starts, track_from_best_sta
 from probevo.estimation.self_calibration import SelfCalibratingEstimator
 from probevo.estimation.sensor_fusion import SensorFusion, solve_innovations
 from probevo.estimation.vehicle_parts import fixed_to_vehicle, many_stay
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
+from probevo.estimation.visual_estimator import VisualEstimator
+from probevo.estimation.visual_motion import MotionPriors
 from probevo.estimation.window.estimator import WindowEstimator
 from probevo.estimation.window.inertial import Inertial
 from probevo.estimation.window.live_motion import live_motion, live_pose

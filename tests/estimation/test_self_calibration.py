@@ -18,7 +18,8 @@ from probevo.estimation.self_calibration import (
     MAX_REPEATED_SOLVES,
     CalibratedMotion,
 )
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
+from probevo.estimation.visual_estimator import VisualEstimator
+from probevo.estimation.visual_motion import MotionPriors
 from probevo.geometry import se3
 from probevo.noise import StudentT
 from probevo.tracking.corrected_tracks import CorrectedTracks

@@ -17,7 +17,7 @@ from probevo.estimation.joint_equations import JointEquations
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.estimation.self_calibration import CalibratedMotion
-from probevo.estimation.visual_motion import VisualEstimator
+from probevo.estimation.visual_estimator import VisualEstimator
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.stereo_observations import StereoObservations

@@ -30,7 +30,8 @@ from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.rig_update import CommonMode, update_rig
 from probevo.estimation.velocity_change import ChangeUnknown, estimate_change
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
+from probevo.estimation.visual_estimator import VisualEstimator
+from probevo.estimation.visual_motion import MotionPriors, VisualMotion
 from probevo.geometry import se3
 from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks

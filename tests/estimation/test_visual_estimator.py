@@ -12,21 +12,17 @@ from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
 from probevo.errors import InputError
-from probevo.estimation import visual_motion
+from probevo.estimation import visual_estimator
+from probevo.estimation.acceptance import are_beyond_chance, evaluate_status
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import TwoFrameEstimate, TwoFrameEstimator
-from probevo.estimation.visual_motion import (
-    MotionPriors,
-    VisualEstimator,
-    VisualMotion,
-    _Solve,
-    are_beyond_chance,
-    evaluate_status,
-)
+from probevo.estimation.visual_estimator import VisualEstimator
+from probevo.estimation.visual_motion import MotionPriors, VisualMotion
+from probevo.estimation.visual_solve import VisualSolve
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.relative_rotation import RelativeRotation
@@ -405,7 +401,7 @@ def test_more_tracks_near_the_prediction_replace_a_consensus_that_hardly_fits(
     good = seen_twice(rng, 30, sigma_px=0.2, depth_m=(5.0, 20.0))
     bad = seen_twice(rng, 30, np.eye(4), sigma_px=1.0, depth_m=(5.0, 20.0))
     found = Consensus(np.eye(4), np.arange(60) >= 24)
-    monkeypatch.setattr(visual_motion, "initial_motion", lambda *_, **__: found)
+    monkeypatch.setattr(visual_estimator, "initial_motion", lambda *_, **__: found)
     visual = estimate(both(good, bad), replace(UNKNOWN, T_curr_prev=FORWARD))
     assert visual.status is Status.OK
     assert visual.used[:30].all()
@@ -660,7 +656,7 @@ def reference_of(
         has_history=np.zeros(len(tracks), np.bool_),
     )
     visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
-    solve = _Solve(
+    solve = VisualSolve(
         T_guess=FORWARD,
         used=np.ones(len(tracks), np.bool_),
         tracks=tracks if contradicting is None else contradicting,
