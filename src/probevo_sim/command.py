@@ -156,9 +156,22 @@ def _spoil(arguments: SpoilArguments) -> list[str]:
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in effects.most_common())
     return [
         f"{out}: {num_frames} of {len(original)} frames; {counts}",
+        *_changes_all_along(settings.effective()),
         *([left_out_text(num_left_out)] if num_left_out else []),
         _next_command(out, out.with_name(f"{out.name}-run")),
     ]
+
+
+def _changes_all_along(settings: SpoilConfig) -> list[str]:
+    """Return what was done to all frames alike, in words."""
+    changes = []
+    if settings.right_late_frames:
+        changes.append(f"all right images late, by {settings.right_late_frames} of the frames")
+    if settings.focal_error:
+        changes.append(f"a focal length that is wrong by {100.0 * settings.focal_error:g} %")
+    if settings.radial_distortion:
+        changes.append(f"a radial distortion, k1 = {settings.radial_distortion:g}")
+    return [f"besides: {'; '.join(changes)}"] if changes else []
 
 
 def render_with_progress(

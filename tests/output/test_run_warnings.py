@@ -388,10 +388,17 @@ def test_images_of_other_frames_are_named_with_the_cure() -> None:
     assert right is not None
     assert left is not None
     assert right.startswith("The right images are one frame late")
-    assert right.endswith("leave out the first right image.")
+    assert right.endswith(
+        "leave out the first image of the right camera, give each later one the name or place of"
+        " the one before, and leave out the last image of the left camera, with times and poses."
+    )
     assert left.startswith("The left images are 2 frames late")
     assert "2 frames earlier" in left
-    assert left.endswith("leave out the first 2 left images.")
+    assert left.endswith(
+        "leave out the first 2 images of the left camera, give each later one the name or place of"
+        " the one 2 before, and leave out the last 2 images of the right camera, with times and"
+        " poses."
+    )
 
 
 def _rolled(roll_rad: float, num_elsewhere: int = 0) -> RunResult:

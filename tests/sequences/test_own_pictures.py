@@ -188,11 +188,13 @@ def test_a_rate_gives_the_times(tmp_path: Path) -> None:
     assert stamps_ns.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
 
 
-def test_a_rate_beside_times_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="contradicts"):
-        open_sequence(write_folder_sequence(tmp_path), rate_hz=10.0)
+def test_a_rate_beside_times_has_to_agree_with_them(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path / "recording")
+    assert len(open_sequence(path, rate_hz=10.0)) == len(open_sequence(path))
+    with pytest.raises(InputError, match=r"times\.txt: the rate of 20 Hz contradicts its stamps"):
+        open_sequence(path, rate_hz=20.0)
     with pytest.raises(InputError, match="rate_hz"):
-        open_sequence(tmp_path, rate_hz=-1.0)
+        open_sequence(path, rate_hz=-1.0)
 
 
 @pytest.mark.parametrize(

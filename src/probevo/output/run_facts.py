@@ -53,7 +53,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
             f"the right camera {jitter_text(result.jitter_sigma_rad)}, which moves all disparities"
             f" of a frame by σ = {readable(offset_px)} px"
         )
-    if is_noticeable(result.right_delay_s):
+    # The right images of other frames seem to be late by less than a frame, which is a fault.
+    if is_noticeable(result.right_delay_s) and result.right_late_frames == 0:
         facts["Exposures"] = delay_text(result.right_delay_s)
     if result.readout_s != 0.0:
         facts["Shutter"] = readout_text(result.readout_s)

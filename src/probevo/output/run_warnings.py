@@ -155,15 +155,18 @@ def timing_warning(right_late_frames: int) -> str | None:
     """Warn of right images that belong to other frames than the left ones (``PairTiming``)."""
     if right_late_frames == 0:
         return None
-    late = "right" if right_late_frames > 0 else "left"
+    late, other = ("right", "left") if right_late_frames > 0 else ("left", "right")
     when = "later" if right_late_frames > 0 else "earlier"
     count = abs(right_late_frames)
     frames = "one frame" if count == 1 else f"{count} frames"
-    first = f"the first {late} image" if count == 1 else f"the first {count} {late} images"
+    image = "image" if count == 1 else f"{count} images"
+    before = "before" if count == 1 else f"{count} before"
     return (
         f"The {late} images are {frames} late: the rows of a left image agree best with those of"
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
-        f" their stamps, or leave out {first}."
+        f" their stamps. If these tell nothing of it: leave out the first {image} of the {late}"
+        f" camera, give each later one the name or place of the one {before}, and leave out the"
+        f" last {image} of the {other} camera, with times and poses."
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -163,13 +164,28 @@ def spaced_by_number(files: list[Path], rate_hz: float) -> IntArray:
     return np.round(numbers * (1e9 / rate_hz)).astype(np.int64)
 
 
-def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path) -> None:
-    """Refuse a rate that the stamps in the names of images contradict, or that hides their gaps.
+class StampSource(NamedTuple):
+    """Where stamps come from, in words."""
+
+    text: str
+    cure: str
+    """What to do if they are wrong, and a rate is right."""
+
+
+FILE_NAMES = StampSource(
+    "the stamps in the file names", "If the names are no stamps, give the times in a times.txt."
+)
+TIMES = StampSource("its stamps", "If they are wrong, correct them.")
+
+
+def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path, *, source: StampSource) -> None:
+    """Refuse a rate that the stamps of images contradict, or that hides their gaps.
 
     Args:
         rate_hz: of equally spaced frames, as the user gives it.
         stamps_ns: of the frames, [K], strictly ascending.
-        where: the folder of the images.
+        where: the folder of the images, or the file of the stamps.
+        source: where the stamps come from.
 
     Raises:
         InputError: the median interval is of another rate, or an interval is a gap.
@@ -185,9 +201,8 @@ def check_rate(rate_hz: float, stamps_ns: IntArray, where: Path) -> None:
         fault = f"have a gap of {intervals_s[longest]:.3f} s after frame {longest}"
     else:
         return
-    what = f"the rate of {rate_hz:g} Hz contradicts the stamps in the file names, which {fault}."
-    cure = "Leave out --rate-hz. If the names are no stamps, give the times in a times.txt."
-    raise InputError(where, what, cure)
+    what = f"the rate of {rate_hz:g} Hz contradicts {source.text}, which {fault}."
+    raise InputError(where, what, f"Leave out --rate-hz. {source.cure}")
 
 
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:

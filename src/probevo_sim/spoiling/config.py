@@ -70,9 +70,9 @@ class SpoilConfig(Settings):
         gt=0,
         le=1,
         description=(
-            "From 0, which is nothing, to 1, which is a bad day. A frame is lost or not: with"
-            " preset frames, the severity scales how many are; with mixed, it does not matter to"
-            " them."
+            "Above 0, which would be nothing, up to 1, which is a bad day. A frame is lost or not:"
+            " with preset frames, the severity scales how many are; with mixed, it does not matter"
+            " to them."
         ),
     )
     clean: float = Field(
@@ -113,6 +113,17 @@ class SpoilConfig(Settings):
             " x (1 + k1 r²); 0.03 for preset calibration."
         ),
     )
+
+    def effective(self) -> SpoilConfig:
+        """Return the settings with what the preset stands for, as they can be evaluated by."""
+        focal_error, radial_distortion = self.wrong_calibration
+        return self.model_copy(
+            update={
+                "right_late_frames": self.delay_frames,
+                "focal_error": focal_error,
+                "radial_distortion": radial_distortion,
+            }
+        )
 
     @property
     def delay_frames(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 
 BLUR_INSTANTS = 9
@@ -152,6 +152,15 @@ def distortion_map(camera: StereoCamera, k1: float) -> FloatArray:
         camera.cv_px + camera.fv_px * seen_y / factor,
     ]
     return np.stack(source).astype(np.float32)
+
+
+def distorted_mask(mask: Image | BoolArray, source_px: FloatArray) -> Image:
+    """Return a mask whose pixels come from these places, [2, height, width], px."""
+    grey = np.asarray(mask, np.uint8) * (255 if mask.dtype == np.bool_ else 1)
+    remapped = cv2.remap(
+        grey, source_px[0], source_px[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(remapped, np.uint8)
 
 
 def distorted(image: Image, source_px: FloatArray) -> Image:

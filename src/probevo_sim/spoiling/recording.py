@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.output.recording_folder import write_recording_folder
@@ -41,14 +41,26 @@ _FRAME_KEY = 3
 
 @dataclass(frozen=True)
 class _Pair:
-    """Left and right image."""
+    """Left and right image, and their masks."""
 
     left: Image
     right: Image
+    left_mask: Image | BoolArray | None = None
+    right_mask: Image | BoolArray | None = None
 
     def each(self, change: Callable[[Image, int], Image]) -> _Pair:
-        """Change both; ``change`` takes an image and its side, 0 for the left."""
-        return _Pair(change(self.left, 0), change(self.right, 1))
+        """Change both images; ``change`` takes one and its side, 0 for the left."""
+        return replace(self, left=change(self.left, 0), right=change(self.right, 1))
+
+    def distorted(self, source_px: FloatArray) -> _Pair:
+        """Return the images, and their masks, whose pixels come from these places, [2, height,
+        width], px."""
+        masks = [
+            None if mask is None else effects.distorted_mask(mask, source_px)
+            for mask in (self.left_mask, self.right_mask)
+        ]
+        images = self.each(lambda image, _: effects.distorted(image, source_px))
+        return replace(images, left_mask=masks[0], right_mask=masks[1])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -102,7 +114,9 @@ class SpoiledRecording(ImageRecording):
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames from the first; raise InputError at a faulty image."""
-        late: deque[Image] = deque(maxlen=self.config.delay_frames + 1)
+        late: deque[tuple[Image, Image | BoolArray | None]] = deque(
+            maxlen=self.config.delay_frames + 1
+        )
         before: _Pair | None = None
         shown: _Pair | None = None
         imu: ImuSamples | None = None
@@ -113,10 +127,12 @@ class SpoiledRecording(ImageRecording):
             if frame.left is None or frame.right is None:
                 what = f"frame {frame.index} has no images."
                 raise InputError(self.path, what, "Only recordings of images can be spoiled.")
-            late.append(frame.right)
-            pair = _Pair(frame.left, late[0])
+            # The right image comes from an earlier frame, and so does its mask.
+            late.append((frame.right, frame.right_mask))
+            right, right_mask = late[0]
+            pair = _Pair(frame.left, right, frame.left_mask, right_mask)
             if source_px is not None:
-                pair = pair.each(lambda image, _: effects.distorted(image, source_px))
+                pair = pair.distorted(source_px)
             imu = frame.imu if imu is None or frame.imu is None else imu.followed_by(frame.imu)
             if plan.effect != "dropped":
                 is_frozen = plan.effect == "frozen" and shown is not None
@@ -127,6 +143,8 @@ class SpoiledRecording(ImageRecording):
                     index=count,
                     left=shown.left.copy(),
                     right=shown.right.copy(),
+                    left_mask=shown.left_mask,
+                    right_mask=shown.right_mask,
                     imu=imu if count else None,
                     prepared=None,
                 )
@@ -144,7 +162,7 @@ class SpoiledRecording(ImageRecording):
                 {"frame": index, "written": written if is_written else None} | plan.record
             )
             written += is_written
-        return {"settings": self.config.model_dump(), "frames": frames}
+        return {"settings": self.config.effective().model_dump(), "frames": frames}
 
     def _spoiled(self, pair: _Pair, plan: FramePlan, *, index: int, before: _Pair | None) -> _Pair:
         """Return the images of a frame with the effect of its plan."""
@@ -158,11 +176,12 @@ class SpoiledRecording(ImageRecording):
             return pair.each(lambda image, _: effects.shaken(image, way_px))
         if plan.effect == "flow_blur" and before is not None:
             # The flow of the pixels of this frame, back to the one before: the way is the same.
-            return _Pair(
-                effects.blurred_along(
+            return replace(
+                pair,
+                left=effects.blurred_along(
                     pair.left, effects.optical_flow(pair.left, before.left), amount
                 ),
-                effects.blurred_along(
+                right=effects.blurred_along(
                     pair.right, effects.optical_flow(pair.right, before.right), amount
                 ),
             )
@@ -206,9 +225,10 @@ def _occluded(pair: _Pair, plan: FramePlan, burst_rng: np.random.Generator) -> _
     leftmost = disparity_px - 0.5 * patch.shape[1]
     rightmost = width - 0.5 * patch.shape[1]
     u = leftmost + (u + plan.position * step_px - leftmost) % (rightmost - leftmost)
-    return _Pair(
-        effects.pasted(pair.left, patch, (u, v)),
-        effects.pasted(pair.right, patch, (u - disparity_px, v)),
+    return replace(
+        pair,
+        left=effects.pasted(pair.left, patch, (u, v)),
+        right=effects.pasted(pair.right, patch, (u - disparity_px, v)),
     )
 
 

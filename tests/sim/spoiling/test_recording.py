@@ -19,9 +19,16 @@ from probevo_sim.spoiling.recording import (
     _Pair,
     write_spoiled,
 )
-from sequences.recordings import write_folder_sequence, write_tracks
+from sequences.recordings import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    write_folder_sequence,
+    write_image,
+    write_tracks,
+)
 
 FRAMES = 30
+FROZEN = {"preset": "frames", "severity": 1.0, "clean": 0.3, "seed": 1}
 
 
 @pytest.fixture(scope="module")
@@ -196,3 +203,43 @@ def test_what_cannot_be_spoiled_is_refused(original: Path, tmp_path: Path) -> No
     (tmp_path / "full" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="this folder is not empty"):
         write_spoiled(tmp_path / "full", spoiled(original))
+
+
+@pytest.mark.parametrize("settings", [{"preset": "delay", "right_late_frames": 2}, FROZEN])
+def test_masks_stay_with_the_images_that_they_are_of(
+    settings: dict[str, object], tmp_path: Path
+) -> None:
+    """Each mask is black in the column whose number its images have as their grey level."""
+    root = write_folder_sequence(tmp_path / "recording", 20)
+    for index in range(20):
+        mask = np.full((HEIGHT_PX, WIDTH_PX), 255, np.uint8)
+        mask[:, index] = 0
+        for side in ("left", "right"):
+            name = f"{index:06d}.png"
+            write_image(root / side / name, np.full((HEIGHT_PX, WIDTH_PX), index, np.uint8))
+            write_image(root / f"mask_{side}" / name, mask)
+    repeated = 0
+    for frame in spoiled(root, **settings):
+        assert frame.left is not None
+        assert frame.right is not None
+        assert frame.left_mask is not None
+        assert frame.right_mask is not None
+        for image, black in ((frame.left, frame.left_mask), (frame.right, frame.right_mask)):
+            columns = np.flatnonzero(~np.asarray(black).astype(bool).all(axis=0))
+            assert columns.tolist() == [image[0, 0]]
+        repeated += frame.right[0, 0] != frame.index
+    assert repeated
+
+
+@pytest.mark.parametrize(
+    ("preset", "expected"),
+    [
+        ("delay", {"right_late_frames": 1}),
+        ("calibration", {"focal_error": 0.03, "radial_distortion": 0.03}),
+    ],
+)
+def test_the_record_has_what_a_preset_stands_for(
+    preset: PresetName, expected: dict[str, float], original: Path
+) -> None:
+    settings = spoiled(original, preset=preset).record()["settings"]
+    assert {name: settings[name] for name in expected} == expected

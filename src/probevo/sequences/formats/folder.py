@@ -44,6 +44,8 @@ from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import paired_images
 from probevo.sequences.stamps import (
+    FILE_NAMES,
+    TIMES,
     check_rate,
     check_stamps,
     read_times,
@@ -241,17 +243,16 @@ def _list_pictures(path: Path, options: FolderOptions) -> _Pictures:
     """
     times = path / "times.txt"
     rate_hz = options.rate_hz
-    if times.exists() and rate_hz is not None:
-        what = f"the rate of {rate_hz:g} Hz contradicts times.txt."
-        raise InputError(times, what, "Remove the file, or leave out --rate-hz.")
     if not times.exists() and (rate_hz is None or _are_named_by_stamps(path)):
         pictures = _pictures_by_stamps(path, options.pair_tolerance_ms)
         if rate_hz is not None:
-            check_rate(rate_hz, pictures.stamps_ns, path / "left")
+            check_rate(rate_hz, pictures.stamps_ns, path / "left", source=FILE_NAMES)
         return pictures
     left_files, right_files = list_pairs(path / "left", path / "right")
-    if rate_hz is None:
+    if rate_hz is None or times.exists():
         stamps_ns = read_times(times, len(left_files))
+        if rate_hz is not None:
+            check_rate(rate_hz, stamps_ns, times, source=TIMES)
     else:
         stamps_ns = spaced_by_number(left_files, rate_hz)
     return _Pictures(stamps_ns, left_files, right_files)
