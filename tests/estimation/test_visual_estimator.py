@@ -750,7 +750,8 @@ def test_judge_accepts_a_determined_converged_solve(solution: ReprojectionSoluti
 @pytest.mark.parametrize(
     ("num_used", "need_larger_noise", "weight", "fewest"),
     [
-        *((50, False, 0.2, 6), (50, False, 1.0, 6)),
+        *((90, False, 0.2, 6), (90, False, 1.0, 6)),
+        *((89, False, 0.2, None), (89, False, 1.0, 6), (50, False, 1.0, 6)),
         *((49, False, 0.2, None), (49, False, 1.0, 12)),
         *((50, True, 0.2, None), (50, True, 1.0, 12), (100, True, 1.0, 12)),
     ],

@@ -49,6 +49,11 @@ def test_rows_of_noise_differ_alike_and_of_anything_smoother_less() -> None:
     smooth = cv2.GaussianBlur(noise, (0, 0), 2.0).astype(np.uint8)
     assert combing(smooth) < 0.8
     assert combing(woven(smooth, np.roll(smooth, 6, axis=1))) > COMBED_FROM
+    # Odd rows brighter than even ones, as of a sensor that reads them by two amplifiers
+    dark = (cv2.GaussianBlur(noise, (0, 0), 8.0) - 90.0).astype(np.uint8)
+    brighter = dark.copy()
+    brighter[1::2] += 5
+    assert combing(brighter) < COMBED_FROM
     assert combing(np.full((200, 400), 7, np.uint8)) == 0.0
     assert combing(smooth[:2]) == 0.0
 

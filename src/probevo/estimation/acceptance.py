@@ -7,7 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.determined import is_determined
-from probevo.estimation.feature_weights import num_agreeing, num_inliers
+from probevo.estimation.feature_weights import are_selected, num_agreeing, num_inliers
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.reprojection import ReprojectionSolution
@@ -32,10 +32,12 @@ def are_beyond_chance(
         need_larger_noise: whether they agree only under a larger noise than was predicted.
         config: settings of the solver.
     """
-    # A minority, or tracks that hardly fit, may agree by chance, and then rather with large
-    # residuals than with small ones.
+    # Tracks that were selected, and even more a minority or tracks that hardly fit, may agree by
+    # chance, and then rather with large residuals than with small ones.
     if need_larger_noise or len(weights) < 0.5 * num_tracks:
         return num_inliers(weights) >= config.solver.min_tracks_beyond_chance
+    if are_selected(weights, num_tracks):
+        return num_inliers(weights) >= config.solver.min_tracks
     return num_agreeing(weights) >= config.solver.min_tracks
 
 

@@ -19,6 +19,10 @@ INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
 MIN_INLIER_SHARE = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted."""
+MIN_UNSELECTED_SHARE = 0.9
+"""Share of the tracks of a step from which on those that were used are no selection. Of ten with
+three mismatches, six are used that agree best on something; with two of them counted as usual, one
+such motion in thirty was tens of σ wrong."""
 CHANCE_SIGMAS = 2.0
 """Standard deviations by which the number of inliers may be smaller than expected."""
 MIN_TAIL = 0.001
@@ -53,12 +57,25 @@ def num_agreeing(weights: FloatArray) -> int:
     return int((weights >= OUTLIER_BELOW).sum())
 
 
-def are_usual(weights: FloatArray) -> bool:
+def are_selected(weights: FloatArray, num_tracks: int) -> bool:
+    """Return whether N tracks are a selection of those of a step, and not nearly all of them."""
+    return len(weights) < MIN_UNSELECTED_SHARE * num_tracks
+
+
+def are_usual(weights: FloatArray, *, num_tracks: int, min_tracks: int) -> bool:
     """Return whether as many of N tracks are inliers as their predicted noise lets expect.
 
     It does with half of them, or with fewer where chance explains that: of few tracks whose noise
-    is as predicted, often less than half have an inlier's weight.
+    is as predicted, often less than half have an inlier's weight. Where others were rejected,
+    these have been chosen since they agree, and chance explains nothing.
+
+    Args:
+        weights: weight of each, [N].
+        num_tracks: number of tracks, with those that were rejected.
+        min_tracks: how many determine a motion.
     """
+    if are_selected(weights, num_tracks):
+        return num_inliers(weights) >= max(min_tracks, MIN_INLIER_SHARE * len(weights))
     expected = INLIER_SHARE * len(weights)
     sigma = math.sqrt(expected * (1.0 - INLIER_SHARE))
     fewest = min(MIN_INLIER_SHARE * len(weights), expected - CHANCE_SIGMAS * sigma)

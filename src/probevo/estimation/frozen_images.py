@@ -11,13 +11,14 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer import transfer
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.recovery import MAX_DURATION_S
 from probevo.sequences.frame import Frame
 from probevo.tracking import TrackingState
 from probevo.tracking.repeated_images import are_repeated, displacements, look_repeated
 
 USUAL_DISTANCE = 6.0
-"""Squared Mahalanobis distance of an ordinary motion from its prediction, the mean of χ²(6). Once
-images are frozen, a rest that is no farther away than that may be what they show."""
+"""Squared Mahalanobis distance of an ordinary motion from its prediction, the mean of χ²(6). Where
+images have long been frozen, a rest that is no farther away than that may be what they show."""
 
 MIN_FEATURES = 20
 """Fewest features that tell whether a scene moves."""
@@ -90,15 +91,22 @@ def _are_frozen(
     """Return whether the images do not change although the camera moves.
 
     They are the same bytes; or they are the same except for noise, and the camera was too fast to
-    have come to rest. Then they count as frozen until they change, or until the camera may well be
-    at rest by what has been known of it before they froze.
+    have come to rest. Then they count as frozen until they change. A camera that brakes has moved
+    on, and shows another image than before; one that rests right where the images froze would have
+    to stop from one frame to the next. That counts only once the frame before is too long ago
+    to be found again (``recovery``), so that the pose cannot jump back to it, and if the camera may
+    well be at rest by what was known of it.
     """
     if not model.is_moving:
         return False
     if are_repeated(prev_frame, frame):
         return True
     at_rest = shown.motion.squared_distance(np.eye(4), np.zeros((6, 6)))
-    if at_rest <= (USUAL_DISTANCE if shown.is_frozen else shown.motion.gate):
+    if shown.is_frozen:
+        may_rest = model.since_solve_s > MAX_DURATION_S and at_rest <= USUAL_DISTANCE
+    else:
+        may_rest = at_rest <= shown.motion.gate
+    if may_rest:
         return False
     return look_repeated(prev_frame, frame) and _stand_against(shown, frame, camera)
 

@@ -246,13 +246,13 @@ class VisualEstimator:
         # First with the predicted noise.
         solve = self._solve_of_consensus(tracks, phi, consensus, priors)
         is_of_majority = solve.estimate.num_inliers >= MIN_INLIER_SHARE * len(tracks)
-        if is_of_majority and not self._is_noisier_than_expected(solve.estimate):
+        if is_of_majority and not self._is_noisier_than_expected(solve, len(tracks)):
             return solve
         # RANSAC's threshold knows nothing of the noise: more tracks may agree near the prediction.
         rival = self._more_near_prediction(tracks, phi, solve, priors)
         if rival is not None:
             solve = self._solve_of_consensus(tracks, phi, rival, priors)
-        if not self._is_noisier_than_expected(solve.estimate):
+        if not self._is_noisier_than_expected(solve, len(tracks)):
             return solve
         # Then with what all tracks show of the noise, at the motion found.
         solution = solve.estimate.solution
@@ -395,13 +395,19 @@ class VisualEstimator:
         plain = evaluated_at(solution, observations)
         return replace(plain, cov=solve.enlargement * plain.cov)
 
-    def _is_noisier_than_expected(self, estimate: TwoFrameEstimate) -> bool:
-        """Whether most residuals are larger than the predicted noise explains.
+    def _is_noisier_than_expected(self, solve: VisualSolve, num_tracks: int) -> bool:
+        """Whether most residuals of a solve are larger than the predicted noise explains.
 
         This alone is no reason to reject the frame: if the features agree on a motion, its
         covariance is enlarged to what the residuals show.
         """
-        return self._config.solver.loss == "noise" and not are_usual(estimate.weights)
+        if self._config.solver.loss != "noise":
+            return False
+        return not are_usual(
+            solve.estimate.weights,
+            num_tracks=num_tracks,
+            min_tracks=self._config.solver.min_tracks,
+        )
 
     def _adapted_noise(
         self,

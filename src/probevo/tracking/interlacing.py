@@ -32,9 +32,11 @@ def combing(image: Image) -> float:
     Returns:
         Ratio of the mean absolute differences; 0 for an image of one grey level, or of two rows.
     """
-    columns = image[:, ::EVERY_COLUMNS].astype(np.int16)
+    columns = image[:, ::EVERY_COLUMNS].astype(np.float32)
     if len(columns) < 3:
         return 0.0
+    # Some sensors read odd and even rows by two amplifiers, one of which is brighter.
+    columns[1::2] += columns[::2].mean() - columns[1::2].mean()
     difference_two_on = float(np.mean(np.abs(columns[2:] - columns[:-2])))
     difference_next = float(np.mean(np.abs(columns[1:] - columns[:-1])))
     return difference_next / difference_two_on if difference_two_on > 0.0 else 0.0
